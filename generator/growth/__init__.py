@@ -1,0 +1,1 @@
+"""Constrained constructive optimisation."""

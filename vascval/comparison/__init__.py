@@ -1,0 +1,1 @@
+"""Cast against synthetic trees: generation by generation, distributions, location."""

@@ -1,0 +1,1 @@
+"""From a segmented volume to a tree: mask, distance map, centreline, graph, radii."""

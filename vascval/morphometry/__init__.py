@@ -1,0 +1,1 @@
+"""Measures of one tree, one definition each, used for cast and synthetic trees alike."""
