@@ -1,1 +1,1 @@
-"""The command line: the only place that prints, draws progress bars or exits."""
+"""The command line: thin, and the only place that prints, draws progress bars or exits."""

@@ -1,0 +1,52 @@
+"""``vascval skeletonize``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from vascval.cli import sources
+from vascval.cli.console import note, progress, say, table, write_json
+from vascval.cli.options import Selection, json_option, volume_options
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  vascval skeletonize cast.nrrd -o cast.vtp
+  vascval skeletonize ct.nii.gz --label 64 -o portal.vtp --json portal.json
+  vascval skeletonize microct.mha --threshold auto --root 10.2,4,0 -o cast.vtp
+"""
+)
+@click.argument("volume", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="TREE.vtp",
+    help="The tree; a name in .swc writes SWC instead.",
+)
+@volume_options
+@json_option
+def skeletonize(volume: Path, output: Path, selection: Selection, json_file: str | None) -> None:
+    """Turn the vessels in VOLUME (NRRD, NIfTI, MetaImage, TIFF) into a tree.
+
+    Vessels are what is not 0, or the voxels chosen by --label or --threshold. The largest connected piece is kept,
+    cavities are filled, loops are cut at their thinnest edge and spurs pruned; what was done is counted in the
+    summary. Positions are millimetres in the volume's world frame.
+    """
+    sources.require(volume, "volume", "a tree needs no skeletonizing; see vascval analyze")
+    if output.suffix.lower() not in (".vtp", ".swc"):
+        raise click.BadParameter(f"{output} ends in neither .vtp nor .swc", param_hint="-o")
+    sources.check_file(output, [volume])
+    sources.check_json(json_file, [volume])
+    from vascval.io.provenance import provenance
+    from vascval.io.trees import write_swc, write_vtp
+
+    origin = provenance(command="skeletonize", config=selection.config(), seed=None, inputs=[volume])
+    with progress() as observer:
+        skeleton = sources.skeletonize(volume, selection, observer)
+    write = write_swc if output.suffix.lower() == ".swc" else write_vtp
+    write(skeleton.tree, output, provenance=origin)
