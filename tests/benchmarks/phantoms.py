@@ -165,7 +165,7 @@ class _Growth:
 
 
 def bent(tree: Tree, rng: np.random.Generator, amplitude_mm: float, *, step_mm: float = 2.0) -> Tree:
-    """The tree with each straight segment bent into a half wave sideways, by ``amplitude_mm`` or a twelfth of its length."""
+    """The tree, its straight segments bent sideways into half waves: ``amplitude_mm`` or a twelfth of the length."""
     points, offset = [], [0, 0]
     for i in range(1, tree.n_nodes):
         ends = tree.polyline(i)

@@ -32,8 +32,8 @@ def _clip(begin, end, start, step, centre, reach):
 @njit(inline="always")
 def _span(a, b, reach, origin, spacing, offset, size):
     """First and last index of the block within ``reach`` of the stretch from a to b along one axis."""
-    first = int(math.floor((min(a, b) - reach - origin) / spacing)) - offset
-    last = int(math.ceil((max(a, b) + reach - origin) / spacing)) - offset
+    first = math.floor((min(a, b) - reach - origin) / spacing) - offset
+    last = math.ceil((max(a, b) + reach - origin) / spacing) - offset
     return max(0, first), min(size - 1, last)
 
 

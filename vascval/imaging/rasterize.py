@@ -14,7 +14,7 @@ import numpy as np
 from vascval.core.errors import InputError
 from vascval.core.tree import Tree
 from vascval.imaging import _rasterize_kernels as kernels
-from vascval.io.volumes import Volume
+from vascval.io.volumes import Volume, check_spacing, default_memory_bytes
 
 Block = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 
@@ -37,16 +37,17 @@ def grid_around(
     shape: Sequence[int] | None = None,
     origin_mm: Sequence[float] | None = None,
 ) -> Grid:
-    """The grid that encloses the tree's tubes with ``margin_mm`` (default: two of the largest voxel edges) on all sides.
+    """The grid around the tree's tubes with ``margin_mm`` on all sides (default: two of the largest voxel edges).
 
     :param voxel_mm: edge of the voxels, one number or x, y, z.
     :param shape: (nz, ny, nx), if it is not to follow from the tree.
     :param origin_mm: centre of the first voxel, if it is not to follow from the tree.
     :raises InputError: when a number is not finite or out of range, or the tree has no segment.
     """
-    spacing = np.broadcast_to(np.asarray(voxel_mm, dtype=np.float64), (3,)) if np.size(voxel_mm) in (1, 3) else None
-    if spacing is None or not (np.isfinite(spacing).all() and (spacing > 0).all()):
-        raise InputError(f"voxel_mm is {voxel_mm}; one positive number or three (x, y, z) are needed")
+    if np.shape(voxel_mm) not in ((), (3,)):
+        raise InputError(f"voxel_mm is {voxel_mm}; one number or three (x, y, z) are needed")
+    spacing = np.broadcast_to(np.asarray(voxel_mm, dtype=np.float64), (3,)).copy()
+    check_spacing(spacing)
     margin = 2.0 * float(spacing.max()) if margin_mm is None else float(margin_mm)
     if not (np.isfinite(margin) and margin >= 0):
         raise InputError(f"margin_mm is {margin_mm}; a number of 0 or more is needed")
@@ -61,7 +62,7 @@ def grid_around(
         shape = [int(n) for n in np.maximum(count, 1)[::-1]]
     if len(shape) != 3 or any(int(n) != n or n < 1 for n in shape):
         raise InputError(f"shape is {tuple(shape)}; three positive whole numbers (nz, ny, nx) are needed")
-    return Grid((int(shape[0]), int(shape[1]), int(shape[2])), spacing.copy(), origin.copy())
+    return Grid((int(shape[0]), int(shape[1]), int(shape[2])), spacing, origin.copy())
 
 
 def rasterize(
@@ -72,7 +73,7 @@ def rasterize(
     shape: Sequence[int] | None = None,
     origin_mm: Sequence[float] | None = None,
     block: Block | None = None,
-    max_memory_bytes: int = 8 * 2**30,
+    max_memory_bytes: int | None = None,
 ) -> Volume:
     """The tree as a mask, uint8, 1 inside.
 
@@ -81,7 +82,7 @@ def rasterize(
     first voxel: a grid larger than memory is drawn block by block. Tubes that leave a grid of given shape are cut off.
 
     :raises InputError: as :func:`grid_around`; when the block does not lie in the grid; when the mask would need more
-        than ``max_memory_bytes``, which is found before it is tried.
+        than ``max_memory_bytes`` (half of the available memory by default), which is found before it is tried.
     """
     grid = grid_around(tree, voxel_mm=voxel_mm, margin_mm=margin_mm, shape=shape, origin_mm=origin_mm)
     offset, size = _block(grid, block)
@@ -100,7 +101,7 @@ def wall_distance(
     shape: Sequence[int] | None = None,
     origin_mm: Sequence[float] | None = None,
     block: Block | None = None,
-    max_memory_bytes: int = 8 * 2**30,
+    max_memory_bytes: int | None = None,
 ) -> Volume:
     """Signed distance to the vessel wall in mm, float32: negative inside, ``band_mm`` where it is that or more.
 
@@ -137,19 +138,23 @@ def _block(grid: Grid, block: Block | None) -> tuple[np.ndarray, tuple[int, int,
     if block is None:
         return np.zeros(3, dtype=np.int64), grid.shape
     bounds = np.asarray(block)
-    whole = np.issubdtype(bounds.dtype, np.integer) and bounds.shape == (3, 2)
-    if not whole or (bounds[:, 0] < 0).any() or (bounds[:, 1] > grid.shape).any() or (bounds[:, 0] >= bounds[:, 1]).any():
-        raise InputError(f"block {block} is no part of a grid of {grid.shape} voxels; (begin, end) for z, y, x is needed")
+    inside = np.issubdtype(bounds.dtype, np.integer) and bounds.shape == (3, 2)
+    if inside:
+        begin, end = bounds.T
+        inside = bool((begin >= 0).all() and (begin < end).all() and (end <= grid.shape).all())
+    if not inside:
+        raise InputError(f"block {block} is no part of a grid of {grid.shape} voxels; give (begin, end) for z, y, x")
     nz, ny, nx = (int(n) for n in bounds[:, 1] - bounds[:, 0])
     return bounds[::-1, 0].astype(np.int64), (nz, ny, nx)
 
 
-def _refuse_size(size: tuple[int, int, int], item_bytes: int, max_memory_bytes: int) -> None:
+def _refuse_size(size: tuple[int, int, int], item_bytes: int, max_memory_bytes: int | None) -> None:
     needed = item_bytes * size[0] * size[1] * size[2]
-    if needed > max_memory_bytes:
+    allowed = default_memory_bytes() if max_memory_bytes is None else max_memory_bytes
+    if needed > allowed:
         raise InputError(
             f"a grid of {size[2]} x {size[1]} x {size[0]} voxels needs {needed / 2**30:.1f} GiB, more than the "
-            f"{max_memory_bytes / 2**30:.1f} GiB allowed; take larger voxels, draw it block by block, or allow more"
+            f"{allowed / 2**30:.1f} GiB allowed; take larger voxels, draw it block by block, or allow more"
         )
 
 
