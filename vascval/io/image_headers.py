@@ -1,0 +1,274 @@
+"""What kind of image a file holds, and whether its header may be trusted, before any library opens it.
+
+Headers are read here as far as safety asks: a detached header may only name data inside its own folder, and the sizes
+that a header claims must be held against the memory allowed and the bytes there are before anything is allocated.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import struct
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from vascval.core.errors import InputError
+from vascval.core.units import MM_PER
+
+_HEADER_BYTES = 1 << 20
+_MAX_FILES = 100_000
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a header says: ``reader`` is the name of the ITK reader, ``sizes`` the axis lengths as stored (empty where
+    only the library knows), ``itemsize`` the bytes per value, ``mm_per_unit`` what the spacing and origin that the
+    library reports are to be multiplied by, ``texts`` the key-value pairs of the writer."""
+
+    kind: str
+    reader: str
+    sizes: tuple[int, ...] = ()
+    itemsize: int = 1
+    has_spacing: bool = True
+    mm_per_unit: float = 1.0
+    texts: dict[str, str] = field(default_factory=dict)
+
+
+def read_header(path: Path) -> Header:
+    """The header of an image file, recognised by content.
+
+    :raises InputError: when the file is missing, empty, of no known kind, or its header is not to be trusted.
+    """
+    head = first_bytes(path)
+    if not head:
+        raise InputError(f"{path}: the file is empty; check how it was written")
+    if head.startswith(b"NRRD"):
+        return _nrrd(path, head)
+    if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        return Header("TIFF", "TIFFImageIO", has_spacing=False)
+    if _META_LINE.match(head) and b"ElementDataFile" in head:
+        return _meta_image(path, head)
+    raw = _unzipped(head) if head[:2] == b"\x1f\x8b" else head
+    if len(raw) >= 348 and struct.unpack("<i", raw[:4])[0] in _NIFTI_SIZES:
+        return _nifti(path, raw, "<")
+    if len(raw) >= 348 and struct.unpack(">i", raw[:4])[0] in _NIFTI_SIZES:
+        return _nifti(path, raw, ">")
+    raise InputError(f"{path}: is no image that can be read; give NRRD, NIfTI, MetaImage or a TIFF stack")
+
+
+def first_bytes(path: Path, count: int = _HEADER_BYTES) -> bytes:
+    """The first bytes of a file.
+
+    :raises InputError: when it is missing, no regular file, or cannot be read.
+    """
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; give a file")
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is not a regular file; give a file")
+        with path.open("rb") as stream:
+            return stream.read(count)
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; check the name") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); check the name and its rights") from error
+
+
+# --- NRRD ---------------------------------------------------------------------------------------------------------
+
+_NRRD_BYTES = {
+    **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
+    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
+    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
+    **dict.fromkeys(("int", "signed int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t"), 4),
+    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "signed long long int"), 8),
+    **dict.fromkeys(("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8),
+    **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
+    "float": 4,
+}
+
+
+def _nrrd(path: Path, head: bytes) -> Header:
+    lines, data_at = _nrrd_lines(head)
+    fields: dict[str, str] = {}
+    texts: dict[str, str] = {}
+    names: list[str] = []
+    for number, line in enumerate(lines[1:], start=2):
+        if line.startswith("#"):
+            continue
+        name, colon, value = line.partition(":")
+        if not colon:
+            raise InputError(f"{path}: line {number} of the NRRD header is no field; the file is damaged")
+        if value.startswith("="):
+            texts[name] = re.sub(r"\\(.)", lambda match: "\n" if match[1] == "n" else match[1], value[1:])
+            continue
+        key = re.sub(r"\s", "", name).lower()
+        fields[key] = value.strip()
+        if key == "datafile" and fields[key].upper().startswith("LIST"):
+            names = [item.strip() for item in lines[number:] if item.strip()]
+            break
+    sizes = _integers(path, fields.get("sizes", ""), "sizes")
+    itemsize = _NRRD_BYTES.get(fields.get("type", "").lower())
+    if not sizes or itemsize is None:
+        raise InputError(f"{path}: the NRRD header lacks sizes or names an unknown type; the file is damaged")
+    files = [path]
+    if "datafile" in fields:
+        files = [_confined(path, name) for name in names or _numbered(path, fields["datafile"])]
+    if fields.get("encoding", "").lower() == "raw" and fields.get("byteskip", "0") in ("0", "-1"):
+        _require_bytes(path, files, math.prod(sizes) * itemsize, 0 if "datafile" in fields else data_at)
+    spacings = fields.get("spacings", "nan") + fields.get("spacedirections", "")
+    return Header(
+        "NRRD",
+        "NrrdImageIO",
+        sizes=sizes,
+        itemsize=itemsize,
+        has_spacing=bool(re.search(r"\d", spacings)),
+        mm_per_unit=_nrrd_unit(path, fields.get("spaceunits", fields.get("units", ""))),
+        texts=texts,
+    )
+
+
+def _nrrd_lines(head: bytes) -> tuple[list[str], int]:
+    """The header's lines, and where the data begin (at the first empty line, or at the end)."""
+    end = re.search(rb"\r?\n\r?\n", head)
+    text = head[: end.start()] if end else head
+    return text.decode("utf-8", "replace").splitlines(), end.end() if end else len(head)
+
+
+def _nrrd_unit(path: Path, units: str) -> float:
+    names = {name.strip() for name in re.findall(r'"([^"]*)"', units)} - {""}
+    if not names:
+        return 1.0
+    known = {**MM_PER, "µm": 1e-3, "micron": 1e-3, "microns": 1e-3, "millimeter": 1.0, "millimetre": 1.0}
+    if len(names) > 1 or not names <= known.keys():
+        raise InputError(f"{path}: the axes have units {sorted(names)}; one of {', '.join(MM_PER)} is needed on all")
+    return known[names.pop()]
+
+
+# --- MetaImage ----------------------------------------------------------------------------------------------------
+
+_META_LINE = re.compile(rb"\s*[A-Za-z]\w*\s*[=:]")
+_META_BYTES = {"CHAR": 1, "SHORT": 2, "INT": 4, "LONG": 8, "LONG_LONG": 8, "FLOAT": 4, "DOUBLE": 8}
+
+
+def _meta_image(path: Path, head: bytes) -> Header:
+    fields: dict[str, str] = {}
+    data_at, names = len(head), []
+    for match in re.finditer(rb"[ \t]*([^=:\r\n]*?)[ \t]*[=:][ \t]*([^\r\n]*)\r?\n?", head):
+        key, value = match[1].decode("latin-1"), match[2].decode("utf-8", "replace").strip()
+        fields[key] = value
+        if key == "ElementDataFile":
+            data_at = match.end()
+            break
+    sizes = _integers(path, fields.get("DimSize", ""), "DimSize")
+    itemsize = _META_BYTES.get(re.sub(r"^MET_U?|_ARRAY$", "", fields.get("ElementType", "")))
+    data = fields.get("ElementDataFile", "")
+    if not sizes or itemsize is None or not data:
+        raise InputError(f"{path}: the MetaImage header lacks its size, type or data; the file is damaged")
+    files = [path]
+    if data.upper().startswith("LIST"):
+        names = [line.strip() for line in head[data_at:].decode("utf-8", "replace").splitlines() if line.strip()]
+    elif data.upper() != "LOCAL":
+        names = _numbered(path, data)
+    if names:
+        files = [_confined(path, name) for name in names]
+    if fields.get("CompressedData", "False").lower() != "true" and fields.get("HeaderSize", "0") in ("0", "-1"):
+        _require_bytes(path, files, math.prod(sizes) * itemsize, 0 if names else data_at)
+    return Header(
+        "MetaImage",
+        "MetaImageIO",
+        sizes=sizes,
+        itemsize=itemsize,
+        has_spacing="ElementSpacing" in fields or "ElementSize" in fields,
+        texts=fields,
+    )
+
+
+# --- NIfTI --------------------------------------------------------------------------------------------------------
+
+_NIFTI_SIZES = (348, 540)
+_NIFTI_PIXDIM = {348: ("8f", 76), 540: ("8d", 104)}
+
+
+def _nifti(path: Path, raw: bytes, endian: str) -> Header:
+    size = struct.unpack(endian + "i", raw[:4])[0]
+    magic = raw[344:347] if size == 348 else raw[4:7]
+    if magic not in (b"n+1", b"n+2"):
+        raise InputError(f"{path}: is an Analyze or detached NIfTI header; convert it to a single .nii or .nii.gz file")
+    if not path.name.lower().endswith((".nii", ".nii.gz")):
+        raise InputError(f"{path}: holds NIfTI under another suffix; rename it to .nii or .nii.gz")
+    dims = struct.unpack_from(endian + ("8h" if size == 348 else "8q"), raw, 40 if size == 348 else 16)
+    bits = struct.unpack_from(endian + "h", raw, 72 if size == 348 else 14)[0]
+    n = dims[0]
+    if not 1 <= n <= 7 or bits <= 0:
+        raise InputError(f"{path}: the NIfTI header claims {n} axes of {bits} bits; the file is damaged")
+    sizes = _positive(path, dims[1 : n + 1], "dim")
+    code, offset = _NIFTI_PIXDIM[size]
+    pixdim = struct.unpack_from(endian + code, raw, offset)[1:4]
+    if not all(math.isfinite(value) and value != 0 for value in pixdim[: min(n, 3)]):
+        raise InputError(f"{path}: the spacing {pixdim} is absurd; correct pixdim in the header")
+    if not path.name.lower().endswith(".gz"):
+        start = struct.unpack_from(endian + ("f" if size == 348 else "q"), raw, 108 if size == 348 else 168)[0]
+        _require_bytes(path, [path], math.prod(sizes) * bits // 8, int(start) if math.isfinite(start) else 0)
+    return Header("NIfTI", "NiftiImageIO", sizes=sizes, itemsize=max(bits // 8, 1))
+
+
+def _unzipped(head: bytes) -> bytes:
+    try:
+        return zlib.decompressobj(wbits=zlib.MAX_WBITS | 16).decompress(head, 1024)
+    except zlib.error:
+        return b""
+
+
+# --- shared -------------------------------------------------------------------------------------------------------
+
+
+def _integers(path: Path, text: str, name: str) -> tuple[int, ...]:
+    try:
+        values = tuple(int(word) for word in text.split())
+    except ValueError:
+        raise InputError(f"{path}: {name} is {text!r}, not whole numbers; the header is damaged") from None
+    return _positive(path, values, name)
+
+
+def _positive(path: Path, values: tuple[int, ...], name: str) -> tuple[int, ...]:
+    if any(value < 1 for value in values):
+        raise InputError(f"{path}: {name} is {values}; sizes of at least 1 are needed, the header is damaged")
+    return values
+
+
+def _numbered(path: Path, text: str) -> list[str]:
+    """The file names that a data-file field stands for: one name, or ``pattern first last step``."""
+    pattern = re.fullmatch(r"(\S*%0?\d*[du]\S*)\s+(-?\d+)\s+(-?\d+)\s+(-?\d+)(\s+\d+)?", text)
+    if pattern is None:
+        if "%" in text:
+            raise InputError(f"{path}: the data file pattern {text!r} is not understood; name one file or LIST them")
+        return [text]
+    first, last, step = (int(pattern[i]) for i in (2, 3, 4))
+    if step == 0 or not 0 <= (last - first) // step < _MAX_FILES or pattern[1].count("%") != 1:
+        raise InputError(f"{path}: the data file pattern {text!r} counts no files; correct its range")
+    return [pattern[1] % number for number in range(first, last + (1 if step > 0 else -1), step)]
+
+
+def _confined(header: Path, name: str) -> Path:
+    """The data file that a detached header names, which must lie in the header's own folder or below."""
+    outside = InputError(
+        f"{header}: its data file {name!r} lies outside its folder; put both into one folder and name it without a path"
+    )
+    if os.path.isabs(name) or "\\" in name or re.match(r"[A-Za-z]:", name) or "\0" in name:
+        raise outside
+    folder = header.parent.resolve()
+    file = header.parent / name
+    if ".." in Path(name).parts or not file.resolve().is_relative_to(folder):
+        raise outside
+    if not file.is_file():
+        raise InputError(f"{header}: its data file {name!r} is missing; put it beside the header")
+    return file
+
+
+def _require_bytes(path: Path, files: list[Path], needed: int, skipped: int) -> None:
+    there = sum(file.stat().st_size for file in files) - skipped
+    if there < needed:
+        raise InputError(f"{path}: holds {max(there, 0):,} bytes of {needed:,}; it is truncated, get it again")

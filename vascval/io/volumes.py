@@ -1,0 +1,340 @@
+"""Volumes: reading and writing images in three dimensions with their place in the world.
+
+SimpleITK does the reading; headers are checked before it is let near a file (:mod:`vascval.io.image_headers`), and the
+memory that the voxels need is known before they are read.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from vascval.core.errors import InputError
+from vascval.io.atomic import atomic_file
+from vascval.io.image_headers import Header, read_header
+
+SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd", ".tif", ".tiff")
+_SHARE_OF_AVAILABLE = 0.5
+_MAX_SPACING_MM = 1000.0
+_MAX_SPACING_RATIO = 1000.0
+_META_KEY = "vascval"
+_GIB = 1024.0**3
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """Voxel values and where they lie.
+
+    * ``values`` (nz, ny, nx), C order; read-only.
+    * ``spacing_mm``, ``origin_mm`` (3,) in the order x, y, z: distances of neighbouring voxel centres along the axes
+      of the grid, and the world position of the centre of voxel 0, 0, 0.
+    * ``direction`` (3, 3): its columns are the axes of the grid in the world frame (LPS).
+    * ``meta``: notes and provenance; plain JSON values.
+
+    :raises InputError: when shapes are wrong, the spacing is absurd or the direction has no inverse.
+    """
+
+    values: np.ndarray
+    spacing_mm: np.ndarray
+    origin_mm: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    direction: np.ndarray = field(default_factory=lambda: np.eye(3))
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        values = np.ascontiguousarray(self.values).view()
+        if values.ndim != 3:
+            raise InputError(f"an array of shape {values.shape} is no volume; three axes (z, y, x) are needed")
+        values.setflags(write=False)
+        object.__setattr__(self, "values", values)
+        for name, shape in (("spacing_mm", (3,)), ("origin_mm", (3,)), ("direction", (3, 3))):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            if array.shape != shape or (name != "spacing_mm" and not np.isfinite(array).all()):
+                raise InputError(f"{name} is {array.tolist()}; finite numbers of shape {shape} are needed")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        check_spacing(self.spacing_mm)
+        if abs(np.linalg.det(self.direction)) < 1e-6:
+            raise InputError(f"direction {self.direction.tolist()} has no inverse; three independent axes are needed")
+        object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
+
+    def to_world(self, index_xyz: np.ndarray) -> np.ndarray:
+        """World positions (..., 3) in mm of voxel indices (..., 3) in the order x, y, z; whole indices are centres."""
+        return (np.asarray(index_xyz, dtype=np.float64) * self.spacing_mm) @ self.direction.T + self.origin_mm
+
+    def to_index(self, world_mm: np.ndarray) -> np.ndarray:
+        """Voxel indices (..., 3) in the order x, y, z, with fractions, of world positions (..., 3) in mm."""
+        inverse = np.linalg.inv(self.direction)
+        return (np.asarray(world_mm, dtype=np.float64) - self.origin_mm) @ inverse.T / self.spacing_mm
+
+
+def check_spacing(spacing_mm: np.ndarray) -> None:
+    """:raises InputError: when a spacing is not finite, not positive, above 1 m or differs 1000-fold between axes."""
+    spacing = np.asarray(spacing_mm, dtype=np.float64)
+    sane = np.isfinite(spacing).all() and (spacing > 0).all()
+    if not sane or spacing.max() > _MAX_SPACING_MM or spacing.max() > _MAX_SPACING_RATIO * spacing.min():
+        raise InputError(f"the spacing {spacing.tolist()} mm is absurd; correct it or use --spacing X,Y,Z")
+
+
+def default_memory_bytes() -> int:
+    """What a volume may take when nothing is said: half of the memory that is available now."""
+    available = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")] if hasattr(os, "sysconf") else [4 << 30]
+    try:
+        match = re.search(r"MemAvailable:\s+(\d+) kB", Path("/proc/meminfo").read_text())
+        available += [int(match[1]) * 1024] if match else []
+        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
+        used = int(Path("/sys/fs/cgroup/memory.current").read_text())
+        available += [max(int(limit) - used, 0)] if limit.isdigit() else []
+    except OSError:
+        pass  # not Linux, or no control group: the figures so far stand
+    return int(_SHARE_OF_AVAILABLE * min(available))
+
+
+def read_volume(
+    path: Path | str, *, spacing_mm: Sequence[float] | None = None, max_memory_bytes: int | None = None
+) -> Volume:
+    """An image with three axes: NRRD, NIfTI, MetaImage, a TIFF of many pages, or a folder of numbered TIFF slices.
+
+    The values keep their type and are held once. Everything that was taken as given is noted in ``meta["notes"]``.
+
+    :param spacing_mm: x, y, z; needed where the file has none (TIFF), otherwise replaces what the file says.
+    :param max_memory_bytes: what the voxels may take; half of the memory available by default.
+    :raises InputError: for whatever is no such image, with the name of the file, what is wrong and the remedy.
+    """
+    path = Path(path)
+    allowed = default_memory_bytes() if max_memory_bytes is None else int(max_memory_bytes)
+    given = None if spacing_mm is None else np.asarray(spacing_mm, dtype=np.float64)
+    if given is not None and given.shape != (3,):
+        raise InputError(f"the spacing {given.tolist()} is not three numbers; give X,Y,Z in mm")
+    files = slices_of(path) if path.is_dir() else [path]
+    header = read_header(files[0])
+    if not header.has_spacing and given is None:
+        raise InputError(f"{path}: {header.kind} gives no spacing in three dimensions; use --spacing X,Y,Z (mm)")
+    _require_memory(path, header.sizes, header.itemsize, allowed)
+    image, notes = _read_image(path, files, header, allowed)
+    if given is not None and header.has_spacing:
+        notes.append(f"spacing given as {given.tolist()} mm, the file says {list(image.GetSpacing())}")
+    scale = header.mm_per_unit
+    meta = {**_stored_meta(header), "source": path.name, "format": header.kind, "notes": notes}
+    try:
+        volume = Volume(
+            values=_values(image),
+            spacing_mm=np.array(image.GetSpacing()) * scale if given is None else given,
+            origin_mm=np.array(image.GetOrigin()) * scale,
+            direction=np.array(image.GetDirection()).reshape(3, 3),
+            meta=meta,
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    _require_finite(path, volume.values)
+    return volume
+
+
+def slices_of(folder: Path) -> list[Path]:
+    """The TIFF slices of a folder in the order of the last number in their names.
+
+    :raises InputError: when there are none, or numbers are missing, double or absent.
+    """
+    found = [item for item in folder.iterdir() if item.suffix.lower() in (".tif", ".tiff")]
+    if not found:
+        raise InputError(f"{folder}: holds no TIFF slices; give a folder of numbered .tif files or one file")
+    numbers: dict[int, list[Path]] = {}
+    for item in sorted(found):
+        digits = re.findall(r"\d+", item.stem)
+        if not digits:
+            raise InputError(f"{folder}: slice {item.name} has no number; number the slices or move it away")
+        numbers.setdefault(int(digits[-1]), []).append(item)
+    first, last = min(numbers), max(numbers)
+    double = [names for names in numbers.values() if len(names) > 1]
+    if double:
+        raise InputError(f"{folder}: {double[0][0].name} and {double[0][1].name} are one slice; move one away")
+    if last - first + 1 != len(numbers):
+        gap = next(i for i in range(first, last) if i not in numbers)
+        raise InputError(f"{folder}: slice {gap} is missing between {first} and {last}; complete the stack")
+    return [numbers[i][0] for i in sorted(numbers)]
+
+
+def _require_memory(path: Path, sizes: Sequence[int], itemsize: int, allowed: int) -> None:
+    needed = math.prod(sizes) * itemsize
+    if needed > allowed:
+        raise InputError(
+            f"{path}: {' x '.join(map(str, sizes))} voxels need {needed / _GIB:.3g} GiB, {allowed / _GIB:.3g} GiB are "
+            "allowed; crop or downsample it, or allow more (--max-memory)"
+        )
+
+
+def _read_image(path: Path, files: list[Path], header: Header, allowed: int) -> tuple[Any, list[str]]:
+    """The SimpleITK image, checked before it is read, and notes on what was taken as given."""
+    import SimpleITK as sitk
+
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    reader = sitk.ImageFileReader()
+    reader.SetImageIO(header.reader)
+    reader.SetFileName(str(files[0]))
+    try:
+        reader.ReadImageInformation()
+        size = list(reader.GetSize())
+        notes = _check_shape(path, size, len(files) > 1 or path.is_dir(), reader.GetNumberOfComponents())
+        pixel = reader.GetPixelID()
+        itemsize = _itemsize(path, sitk, pixel)
+        full = [*size[:2], len(files)] if path.is_dir() else size
+        _require_memory(path, full, itemsize, allowed)
+        if path.is_dir():
+            series = sitk.ImageSeriesReader()
+            series.SetImageIO(header.reader)
+            series.SetFileNames([str(file) for file in files])
+            return series.Execute(), notes
+        if len(size) > 3:
+            reader.SetExtractSize(size[:3] + [0] * (len(size) - 3))
+        return reader.Execute(), notes
+    except (RuntimeError, MemoryError) as error:
+        raise InputError(f"{path}: {_reason(error, header.kind)}") from error
+
+
+def _check_shape(path: Path, size: list[int], is_slice: bool, components: int) -> list[str]:
+    shape = " x ".join(map(str, size))
+    if components != 1:
+        raise InputError(f"{path}: has {components} values per voxel; one is needed, take one channel of it")
+    extra = [n for n in size[2:] if n != 1] if is_slice else [n for n in size[3:] if n != 1]
+    if extra:
+        need = "slices have two axes" if is_slice else "three axes are needed, take one frame of it"
+        raise InputError(f"{path}: is an image of {shape} voxels; {need}")
+    if not is_slice and (len(size) < 3 or 1 in size[:3]):
+        raise InputError(f"{path}: is a flat image of {shape} voxels; a volume with three axes is needed")
+    return [f"trailing axes of size 1 dropped from {shape}"] if not is_slice and len(size) > 3 else []
+
+
+def _itemsize(path: Path, sitk: Any, pixel: int) -> int:
+    one = sitk.Image([1, 1, 1], pixel) if "complex" not in sitk.GetPixelIDValueAsString(pixel) else None
+    if one is None:
+        raise InputError(f"{path}: has complex values; real ones are needed, take the magnitude")
+    return one.GetSizeOfPixelComponent()
+
+
+def _reason(error: BaseException, kind: str) -> str:
+    if isinstance(error, MemoryError) or "allocat" in str(error).lower():
+        return "does not fit into memory; crop or downsample it"
+    said = [line.strip() for line in str(error).splitlines() if line.strip()]
+    last = re.sub(r"^.*(ERROR|Exception)[^:]*:\s*", "", said[-1]) if said else "no reason given"
+    return f"cannot be read as {kind} ({last.rstrip('.')[:160]}); it is truncated or damaged, get it again"
+
+
+class _Pixels:
+    """Pixels of an image for NumPy: the array made from it keeps the image alive, so that nothing is copied."""
+
+    def __init__(self, image: Any) -> None:
+        import SimpleITK as sitk
+
+        self.image = image
+        self.__array_interface__ = sitk.GetArrayViewFromImage(image).__array_interface__
+
+
+def _values(image: Any) -> np.ndarray:
+    return np.asarray(_Pixels(image))
+
+
+def _require_finite(path: Path, values: np.ndarray) -> None:
+    if not np.issubdtype(values.dtype, np.inexact):
+        return
+    for z, plane in enumerate(values):
+        bad = ~np.isfinite(plane)
+        if bad.any():
+            y, x = np.argwhere(bad)[0]
+            raise InputError(
+                f"{path}: voxel ({x}, {y}, {z}) is {plane[y, x]}; replace values that are not finite by background"
+            )
+
+
+def _stored_meta(header: Header) -> dict[str, Any]:
+    """What :func:`write_volume` stored beside the voxels; nothing when another program wrote the file."""
+    try:
+        stored = json.loads(header.texts.get(_META_KEY, "{}"))
+    except ValueError:
+        return {}
+    return stored if isinstance(stored, dict) else {}
+
+
+def write_volume(volume: Volume, path: Path | str) -> None:
+    """The volume as NRRD (gzip), NIfTI or MetaImage by the suffix: .nrrd, .nii, .nii.gz or .mha; atomic.
+
+    NRRD and MetaImage carry ``meta`` too. The same volume gives the same bytes.
+
+    :raises InputError: for another suffix or a place that cannot be written.
+    """
+    path = Path(path)
+    name = path.name.lower()
+    if name.endswith(".nrrd"):
+        with atomic_file(path) as aside:
+            _write_nrrd(volume, aside)
+    elif name.endswith((".nii", ".nii.gz", ".mha")):
+        with atomic_file(path) as aside:
+            _write_with_itk(volume, aside)
+    else:
+        raise InputError(f"{path}: volumes are written as .nrrd, .nii, .nii.gz or .mha; choose one of these")
+
+
+_NRRD_TYPES = {
+    "i1": "int8", "u1": "uint8", "i2": "int16", "u2": "uint16", "i4": "int32", "u4": "uint32",
+    "i8": "int64", "u8": "uint64", "f4": "float", "f8": "double", "b1": "uint8",
+}  # fmt: skip
+
+
+def _write_nrrd(volume: Volume, path: Path) -> None:
+    """Slice by slice through the compressor, so that no second copy of the volume is made."""
+    code = volume.values.dtype.str[1:]
+    if code not in _NRRD_TYPES:
+        raise InputError(f"{path}: values of type {volume.values.dtype} have no place in NRRD; convert them to numbers")
+    axes = " ".join(_vector(volume.direction[:, i] * volume.spacing_mm[i]) for i in range(3))
+    meta = json.dumps(dict(volume.meta), sort_keys=True).replace("\\", "\\\\")
+    lines = [
+        "NRRD0005",
+        f"type: {_NRRD_TYPES[code]}",
+        "dimension: 3",
+        "space: left-posterior-superior",
+        "sizes: " + " ".join(str(n) for n in volume.values.shape[::-1]),
+        f"space directions: {axes}",
+        "kinds: domain domain domain",
+        "endian: little",
+        "encoding: gzip",
+        'space units: "mm" "mm" "mm"',
+        f"space origin: {_vector(volume.origin_mm)}",
+        f"{_META_KEY}:={meta}",
+    ]
+    compressor = zlib.compressobj(level=6, wbits=zlib.MAX_WBITS | 16)
+    with path.open("wb") as stream:
+        stream.write(("\n".join(lines) + "\n\n").encode())
+        for plane in volume.values:
+            little = plane.astype(plane.dtype.newbyteorder("<"), copy=False)
+            stream.write(compressor.compress(np.ascontiguousarray(little).tobytes()))
+        stream.write(compressor.flush())
+
+
+def _vector(values: np.ndarray) -> str:
+    return "(" + ",".join(repr(float(value)) for value in values) + ")"
+
+
+def _write_with_itk(volume: Volume, path: Path) -> None:
+    import SimpleITK as sitk
+
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    values = volume.values.view(np.uint8) if volume.values.dtype == bool else volume.values
+    image = sitk.GetImageFromArray(values)
+    image.SetSpacing(volume.spacing_mm.tolist())
+    image.SetOrigin(volume.origin_mm.tolist())
+    image.SetDirection(volume.direction.ravel().tolist())
+    meta = json.dumps(dict(volume.meta), sort_keys=True)
+    if path.name.lower().endswith(".mha") and len(meta) < 4000:  # longer lines overflow what MetaImage readers hold
+        image.SetMetaData(_META_KEY, meta)
+    try:
+        sitk.WriteImage(image, str(path), useCompression=True)
+    except RuntimeError as error:
+        raise InputError(f"{path}: cannot be written ({_reason(error, 'image')})") from error
