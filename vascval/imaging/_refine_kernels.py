@@ -1,0 +1,265 @@
+"""Compiled passes of the sub-voxel refinement; see :mod:`vascval.imaging.refine`.
+
+Each branch has stations, evenly spaced along its centreline; branch ``b`` owns stations
+``offset[b]:offset[b + 1]`` with position, unit tangent and arc length ``s``. Voxels know a station near them.
+"""
+
+import numpy as np
+
+from vascval.core.jit import njit
+
+
+@njit
+def relocate(station, branch, offset, position, tangent, arc, x, row, ny, spacing):
+    """Move each voxel's station along its branch to the one whose cross-section it lies in; give its arc length."""
+    n = x.size
+    along = np.empty(n)
+    for i in range(n):
+        k = station[i]
+        b = branch[k]
+        px, py, pz = x[i] * spacing[0], (row[i] % ny) * spacing[1], (row[i] // ny) * spacing[2]
+        last = offset[b + 1] - 1
+        first = offset[b]
+        s = 0.0
+        for _ in range(4):
+            s = (
+                (px - position[k, 0]) * tangent[k, 0]
+                + (py - position[k, 1]) * tangent[k, 1]
+                + (pz - position[k, 2]) * tangent[k, 2]
+            )
+            here = arc[k] + s
+            target = k
+            while target < last and arc[target + 1] - here <= here - arc[target]:
+                target += 1
+            while target > first and here - arc[target - 1] <= arc[target] - here:
+                target -= 1
+            if target == k:
+                break
+            # one station at a time on curves: a far target may lie around a bend
+            k = target
+        along[i] = (
+            arc[k]
+            + (px - position[k, 0]) * tangent[k, 0]
+            + (py - position[k, 1]) * tangent[k, 1]
+            + (pz - position[k, 2]) * tangent[k, 2]
+        )
+        station[i] = k
+    return along
+
+
+@njit
+def centroids(station, n_stations, x, row, ny, spacing):
+    """Number of voxels in each station's slab and the sum of their positions."""
+    count = np.zeros(n_stations)
+    total = np.zeros((n_stations, 3))
+    for i in range(x.size):
+        k = station[i]
+        count[k] += 1.0
+        total[k, 0] += x[i] * spacing[0]
+        total[k, 1] += (row[i] % ny) * spacing[1]
+        total[k, 2] += (row[i] // ny) * spacing[2]
+    return count, total
+
+
+@njit
+def section_sums(station, along, branch, position, tangent, arc, core, low, high, ramp, x, row, ny, spacing):
+    """For each branch, over the voxels between ``low`` and ``high``: the tapered sums that give its mean radius.
+
+    A voxel at distance rho from the axis counts ``1 / rho``, and within ``core`` ``(4 - 3 rho / core) / core``, which
+    is continuous and has the same integral over the core's disc: ``2 pi core``. See
+    :func:`vascval.imaging.refine.mean_radius`.
+    """
+    n_branches = low.size
+    radius_sum = np.zeros(n_branches)
+    for i in range(x.size):
+        k = station[i]
+        b = branch[k]
+        s = along[i]
+        if s <= low[b] or s >= high[b]:
+            continue
+        edge = min(s - low[b], high[b] - s)
+        weight = 1.0 if edge >= ramp[b] else 0.5 - 0.5 * np.cos(np.pi * edge / ramp[b])
+        dx = x[i] * spacing[0] - position[k, 0]
+        dy = (row[i] % ny) * spacing[1] - position[k, 1]
+        dz = (row[i] // ny) * spacing[2] - position[k, 2]
+        t = dx * tangent[k, 0] + dy * tangent[k, 1] + dz * tangent[k, 2]
+        rho = np.sqrt(max(0.0, dx * dx + dy * dy + dz * dz - t * t))
+        if rho < core[b]:
+            radius_sum[b] += weight * (4.0 - 3.0 * rho / core[b]) / core[b]
+        else:
+            radius_sum[b] += weight / rho
+    return radius_sum
+
+
+@njit
+def make_stations(points, begin, step, half_width):
+    """Evenly spaced stations along each polyline ``points[begin[b]:begin[b + 1]]``.
+
+    :param half_width: (n_branches,) over how many mm to each side the tangent is taken.
+    """
+    n = begin.size - 1
+    offset = np.zeros(n + 1, np.int64)
+    total = np.zeros(n)
+    for b in range(n):
+        for k in range(begin[b] + 1, begin[b + 1]):
+            total[b] += np.sqrt(((points[k] - points[k - 1]) ** 2).sum())
+        offset[b + 1] = offset[b] + max(2, int(np.ceil(total[b] / step)) + 1)
+    position = np.empty((offset[n], 3))
+    tangent = np.empty((offset[n], 3))
+    arc = np.empty(offset[n])
+    branch = np.empty(offset[n], np.int32)
+    for b in range(n):
+        m = offset[b + 1] - offset[b]
+        pitch = total[b] / (m - 1)
+        k = begin[b]
+        walked = 0.0
+        here = np.sqrt(((points[k + 1] - points[k]) ** 2).sum())
+        for j in range(m):
+            s = j * pitch
+            while s > walked + here and k + 2 < begin[b + 1]:
+                walked += here
+                k += 1
+                here = np.sqrt(((points[k + 1] - points[k]) ** 2).sum())
+            t = 0.0 if here == 0.0 else min(1.0, (s - walked) / here)
+            position[offset[b] + j] = points[k] + t * (points[k + 1] - points[k])
+            arc[offset[b] + j] = s
+            branch[offset[b] + j] = b
+        reach = 1 if pitch == 0.0 else max(1, int(round(half_width[b] / pitch)))
+        for j in range(m):
+            # a chord from a point as far back as ahead, so that the tangent is centred
+            span = min(reach, max(1, min(j, m - 1 - j)))
+            lo, hi = max(0, j - span), min(m - 1, j + span)
+            d = position[offset[b] + hi] - position[offset[b] + lo]
+            size = np.sqrt((d**2).sum())
+            tangent[offset[b] + j] = d / size if size > 0 else np.array([1.0, 0.0, 0.0])
+    return offset, position, tangent, arc, branch
+
+
+@njit
+def clearance(out_direction, radius, node_offset, node_branch, node_end, low, high):
+    """How far from each junction each branch comes clear of the others there; written to ``low`` and ``high``.
+
+    Beside a branch of radius R at angle phi a branch of radius r is clear from ``(R + r cos phi) / sin phi`` on; if the
+    other runs away from it (phi > 90 degrees) from R on at the latest. ``node_end`` is 0 where the branch begins at
+    the node, 1 where it ends there; ``out_direction`` (n, 2, 3) points away from the node.
+    """
+    for v in range(node_offset.size - 1):
+        for p in range(node_offset[v], node_offset[v + 1]):
+            b, e = node_branch[p], node_end[p]
+            far = 0.0
+            for q in range(node_offset[v], node_offset[v + 1]):
+                c, f = node_branch[q], node_end[q]
+                if q == p:
+                    continue
+                cosine = (out_direction[b, e] * out_direction[c, f]).sum()
+                sine = np.sqrt(max(1e-12, 1.0 - cosine * cosine))
+                clear = (radius[c] + radius[b] * cosine) / sine
+                if cosine < 0:
+                    clear = min(clear, radius[c])
+                else:
+                    clear = min(clear, 4.0 * (radius[c] + radius[b]))
+                far = max(far, clear)
+            if e == 0:
+                low[b] = far
+            else:
+                high[b] = far
+
+
+@njit
+def smooth_centres(count, total, offset, position, tangent, arc, low, high, width):
+    """Centroid of each station's neighbourhood along its branch, by Gaussian weights of ``width`` mm; the shift along
+    the tangent is taken out. Stations outside ``low..high`` keep their place.
+    """
+    result = position.copy()
+    for b in range(offset.size - 1):
+        first, last = offset[b], offset[b + 1]
+        for k in range(first, last):
+            if arc[k] < low[b] or arc[k] > high[b]:
+                continue
+            mass = 0.0
+            shift = np.zeros(3)
+            for j in range(first, last):
+                if count[j] == 0 or arc[j] < low[b] or arc[j] > high[b]:
+                    continue
+                u = (arc[j] - arc[k]) / width[b]
+                if abs(u) > 3.0:
+                    continue
+                w = np.exp(-0.5 * u * u) * count[j]
+                mass += w
+                shift += w * (total[j] / count[j] - position[j])
+            if mass > 0:
+                shift /= mass
+                shift -= (shift * tangent[k]).sum() * tangent[k]
+                result[k] = position[k] + shift
+    return result
+
+
+@njit
+def end_lines(count, total, offset, arc, low, high, reach, at_end):
+    """A straight line through the slab centroids next to one end of each branch, by regression on arc length.
+
+    :param at_end: False for the proximal end, True for the distal one.
+    :param reach: (n_branches,) how much of the window is used, mm.
+    :returns: centre of each fit, unit direction (proximal to distal), arc length at the centre, weight (0 where fewer
+        than two slabs hold voxels).
+    """
+    n = offset.size - 1
+    centre = np.zeros((n, 3))
+    direction = np.zeros((n, 3))
+    where = np.zeros(n)
+    weight = np.zeros(n)
+    for b in range(n):
+        a = high[b] - reach[b] if at_end else low[b]
+        z = high[b] if at_end else low[b] + reach[b]
+        mass, moment, slabs = 0.0, 0.0, 0
+        mean = np.zeros(3)
+        for k in range(offset[b], offset[b + 1]):
+            if count[k] > 0 and arc[k] >= max(a, low[b]) - 1e-9 and arc[k] <= min(z, high[b]) + 1e-9:
+                mass += count[k]
+                moment += count[k] * arc[k]
+                mean += total[k]
+                slabs += 1
+        if slabs < 2:
+            continue
+        mean /= mass
+        moment /= mass
+        spread = 0.0
+        slope = np.zeros(3)
+        for k in range(offset[b], offset[b + 1]):
+            if count[k] > 0 and arc[k] >= max(a, low[b]) - 1e-9 and arc[k] <= min(z, high[b]) + 1e-9:
+                s = arc[k] - moment
+                spread += count[k] * s * s
+                slope += s * (total[k] - count[k] * mean)
+        size = np.sqrt((slope**2).sum())
+        if size == 0.0 or spread == 0.0:
+            continue
+        centre[b] = mean
+        direction[b] = slope / size
+        where[b] = moment
+        weight[b] = np.sqrt(spread / mass)
+    return centre, direction, where, weight
+
+
+@njit
+def length_beyond(along, station, branch, limit, sign, width):
+    """Number of voxels of each branch beyond ``limit`` (at larger arc length for sign 1, smaller for -1), the limit
+    being softened over ``width`` mm so that no layer of voxels falls in or out at once."""
+    result = np.zeros(limit.size)
+    for i in range(along.size):
+        b = branch[station[i]]
+        if sign[b] != 0:
+            result[b] += min(1.0, max(0.0, (along[i] - limit[b]) * sign[b] / width + 0.5))
+    return result
+
+
+@njit
+def reaches_border(along, station, branch, limit, sign, x, row, ny, nx, nz):
+    """Does a branch touch the border of the volume beyond ``limit``?"""
+    result = np.zeros(limit.size, np.bool_)
+    for i in range(along.size):
+        b = branch[station[i]]
+        if sign[b] != 0 and (along[i] - limit[b]) * sign[b] > 0:
+            y, z = row[i] % ny, row[i] // ny
+            if x[i] == 0 or y == 0 or z == 0 or x[i] == nx - 1 or y == ny - 1 or z == nz - 1:
+                result[b] = True
+    return result

@@ -1,0 +1,135 @@
+"""Compiled homotopic thinning of a list of voxels towards given anchors; see :mod:`vascval.imaging.thinning`."""
+
+import numpy as np
+
+from vascval.core.jit import njit
+from vascval.imaging._geodesic_kernels import neighbours
+
+
+@njit
+def adjacency_masks():
+    """Bit masks of who touches whom among the 27 positions: 26-adjacency, and 6-adjacency within the 18-neighbourhood."""
+    near26 = np.zeros(27, np.int64)
+    near6 = np.zeros(27, np.int64)
+    for a in range(27):
+        az, ay, ax = a // 9 - 1, (a // 3) % 3 - 1, a % 3 - 1
+        for b in range(27):
+            if a == b or a == 13 or b == 13:
+                continue
+            bz, by, bx = b // 9 - 1, (b // 3) % 3 - 1, b % 3 - 1
+            dz, dy, dx = abs(az - bz), abs(ay - by), abs(ax - bx)
+            if max(dz, max(dy, dx)) == 1:
+                near26[a] |= 1 << b
+            within = abs(az) + abs(ay) + abs(ax) <= 2 and abs(bz) + abs(by) + abs(bx) <= 2
+            if dz + dy + dx == 1 and within:
+                near6[a] |= 1 << b
+    return near26, near6
+
+
+@njit
+def lowest_bit(mask):
+    k = 0
+    while (mask >> k) & 1 == 0:
+        k += 1
+    return k
+
+
+@njit
+def flood(mask, seed, near):
+    """The part of ``mask`` that is connected to the bit ``seed``."""
+    part = 1 << seed
+    fringe = part
+    while fringe:
+        k = lowest_bit(fringe)
+        fringe &= fringe - 1
+        new = near[k] & mask & ~part
+        part |= new
+        fringe |= new
+    return part
+
+
+@njit
+def is_simple(mask, near26, near6):
+    """Can the voxel go without a change of topology? ``mask`` holds its foreground 26-neighbours by code.
+
+    Bertrand and Malandain (1994): one 26-component of foreground among the 26 neighbours, and one 6-component of
+    background among the 18 neighbours that touches the voxel by a face.
+    """
+    if mask == 0:
+        return False
+    if flood(mask, lowest_bit(mask), near26) != mask:
+        return False
+    eighteen = 0
+    faces = 0
+    for c in range(27):
+        if c == 13:
+            continue
+        z, y, x = c // 9 - 1, (c // 3) % 3 - 1, c % 3 - 1
+        reach = abs(z) + abs(y) + abs(x)
+        if reach <= 2:
+            eighteen |= 1 << c
+        if reach == 1:
+            faces |= 1 << c
+    background = eighteen & ~mask
+    open_faces = background & faces
+    if open_faces == 0:
+        return False
+    return open_faces & ~flood(background, lowest_bit(open_faces), near6) == 0
+
+
+@njit
+def thin(level, n_levels, anchor, x, row, first, ny):
+    """Remove simple voxels level by level (lowest ``level`` first) until none but anchors could go.
+
+    Within a level voxels are taken first in, first out, so that a vessel is eroded from all sides alike. A voxel that
+    could not go is tried again whenever one of its neighbours has gone.
+
+    :returns: (n,) bool, which voxels are left.
+    """
+    n = x.size
+    near26, near6 = adjacency_masks()
+    alive = np.ones(n, np.bool_)
+    queued = np.ones(n, np.bool_)
+    head = np.full(n_levels, -1, np.int32)
+    tail = np.full(n_levels, -1, np.int32)
+    follow = np.full(n, -1, np.int32)
+    for i in range(n):
+        if anchor[i]:
+            queued[i] = False
+            continue
+        k = level[i]
+        if head[k] < 0:
+            head[k] = i
+        else:
+            follow[tail[k]] = i
+        tail[k] = i
+    out = np.empty(26, np.int64)
+    code = np.empty(26, np.int64)
+    current = 0
+    while current < n_levels:
+        i = head[current]
+        if i < 0:
+            current += 1
+            continue
+        head[current] = follow[i]
+        follow[i] = -1
+        queued[i] = False
+        m = neighbours(i, x, row, first, ny, out, code)
+        mask = 0
+        for t in range(m):
+            if alive[out[t]]:
+                mask |= 1 << code[t]
+        if not is_simple(mask, near26, near6):
+            continue
+        alive[i] = False
+        for t in range(m):
+            j = out[t]
+            if alive[j] and not queued[j] and not anchor[j]:
+                k = max(level[j], current)
+                queued[j] = True
+                if head[k] < 0:
+                    head[k] = j
+                else:
+                    follow[tail[k]] = j
+                tail[k] = j
+    return alive

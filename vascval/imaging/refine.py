@@ -1,0 +1,330 @@
+"""Sub-voxel centrelines, junctions, tips and radii from all voxels of each branch.
+
+A voxel chain is a voxel off the axis and its distance values are half a voxel and more too small. Here every foreground
+voxel is given to a branch (least power distance) and its cross-section; the centreline runs through the centroids of the
+cross-sections, away from the junctions; a junction lies where the straight continuations of its branches come closest;
+a tip where the volume beyond the last full cross-section puts it; and a radius is a mean over all directions and
+sections, which neither the voxel grid nor a rough surface biases.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from vascval.imaging import _graph_kernels
+from vascval.imaging import _refine_kernels as kernels
+from vascval.imaging.graph import Branches
+from vascval.imaging.voxels import Voxels
+
+ROUNDS = 3
+SECTION_VOXELS = 1.0
+CORE = 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """Geometry of the branches, in mm along the axes of the grid (voxel centre 0, 0, 0 at the origin).
+
+    * ``node_mm`` (s + 1, 3): node 0 is the root, node ``b + 1`` the distal end of branch ``b``.
+    * ``point_mm`` (m, 3), ``offset`` (s + 1,): the centreline of each branch, both nodes included.
+    * ``radius_mm``, ``radius_sd_mm`` (s,).
+    """
+
+    node_mm: np.ndarray
+    point_mm: np.ndarray
+    offset: np.ndarray
+    radius_mm: np.ndarray
+    radius_sd_mm: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Stations:
+    """Cross-sections along the branches and the voxels that lie in them; see the kernels' module."""
+
+    offset: np.ndarray
+    position: np.ndarray
+    tangent: np.ndarray
+    arc: np.ndarray
+    branch: np.ndarray
+    of_voxel: np.ndarray
+    along: np.ndarray
+    count: np.ndarray
+    total: np.ndarray
+
+    @property
+    def length(self) -> np.ndarray:
+        """(s,) length of each branch."""
+        return self.arc[self.offset[1:] - 1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Straight lines at the two ends of each branch, (s, 2, ...): 0 proximal, 1 distal."""
+
+    centre: np.ndarray
+    direction: np.ndarray
+    weight: np.ndarray
+
+
+def refine(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thickness_mm: np.ndarray) -> Refined:
+    """Refine a tree of voxel chains.
+
+    :param skeleton_voxel: (k,) voxel of each skeleton point.
+    :param thickness_mm: (n,) distance map.
+    """
+    centre = voxels.index_xyz(skeleton_voxel) * voxels.spacing_mm
+    thickness = thickness_mm[skeleton_voxel]
+    label = _nearest_point(voxels, tree, skeleton_voxel, centre, thickness)
+    branch, place = _place_on_branch(tree, skeleton_voxel.size)
+    nodes = _Nodes(tree)
+    now = _first_guess(tree, centre, thickness)
+    voxel_branch, voxel_place = branch[label], place[label]
+    for _ in range(ROUNDS):
+        stations = _stations(voxels, now, voxel_branch, voxel_place)
+        now = _improve(voxels, nodes, now, stations)
+        voxel_place = stations.along / np.maximum(stations.length, 1e-300)[voxel_branch]
+    return now
+
+
+def _nearest_point(
+    voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, centre: np.ndarray, thickness: np.ndarray
+) -> np.ndarray:
+    used = np.unique(tree.point)
+    seed = np.full(voxels.n, -1, dtype=np.int32)
+    seed[skeleton_voxel[used]] = used
+    ny = voxels.shape[1]
+    return _graph_kernels.nearest_points(
+        seed, centre, thickness, voxels.x, voxels.row, voxels.first, ny, voxels.spacing_mm
+    )
+
+
+def _place_on_branch(tree: Branches, n_points: int) -> tuple[np.ndarray, np.ndarray]:
+    """For each skeleton point its branch and its relative place (0..1) on that branch's chain.
+
+    A junction belongs to the branch that feeds it, the root point to a branch that springs from it.
+    """
+    size = np.diff(tree.offset)
+    step = np.arange(tree.point.size) - np.repeat(tree.offset[:-1], size)
+    relative = step / np.repeat(np.maximum(size - 1, 1), size)
+    of_branch = np.repeat(np.arange(tree.n, dtype=np.int32), size)
+    branch, place = np.full(n_points, -1, dtype=np.int32), np.zeros(n_points)
+    for chosen in (step == 0, step > 0):
+        branch[tree.point[chosen]] = of_branch[chosen]
+        place[tree.point[chosen]] = relative[chosen]
+    return branch, place
+
+
+def _first_guess(tree: Branches, centre: np.ndarray, thickness: np.ndarray) -> Refined:
+    """The voxel chains, smoothed over a few voxels between their fixed ends."""
+    radius = np.array([np.median(thickness[tree.chain(b)]) for b in range(tree.n)])
+    point = centre[tree.point]
+    for b in range(tree.n):
+        chain = slice(tree.offset[b], tree.offset[b + 1])
+        smooth = gaussian_filter1d(point[chain], sigma=2.0, axis=0, mode="nearest")
+        smooth[0], smooth[-1] = point[chain][0], point[chain][-1]
+        point[chain] = smooth
+    node = np.concatenate((point[:1], point[tree.offset[1:] - 1]))
+    return Refined(node, point, tree.offset, radius, np.zeros(tree.n))
+
+
+class _Nodes:
+    """Which branches meet where: node 0 is the root, node ``b + 1`` the distal end of branch ``b``."""
+
+    def __init__(self, tree: Branches) -> None:
+        n = tree.n
+        self.proximal = tree.parent.astype(np.int64) + 1
+        self.distal = np.arange(n) + 1
+        node = np.concatenate((self.proximal, self.distal))
+        branch = np.concatenate((np.arange(n), np.arange(n)))
+        end = np.concatenate((np.zeros(n, dtype=np.int64), np.ones(n, dtype=np.int64)))
+        order = np.argsort(node, kind="stable")
+        self.branch, self.end = branch[order], end[order]
+        self.degree = np.bincount(node, minlength=n + 1)
+        self.offset = np.concatenate(([0], np.cumsum(self.degree)))
+
+    @property
+    def n(self) -> int:
+        return int(self.degree.size)
+
+
+def _stations(voxels: Voxels, now: Refined, voxel_branch: np.ndarray, voxel_place: np.ndarray) -> _Stations:
+    step = SECTION_VOXELS * float(voxels.spacing_mm.min())
+    offset, position, tangent, arc, branch = kernels.make_stations(now.point_mm, now.offset, step, now.radius_mm)
+    size = np.diff(offset)[voxel_branch]
+    start = np.clip(np.rint(voxel_place * (size - 1)), 0, size - 1).astype(np.int64)
+    of_voxel = offset[voxel_branch] + start
+    grid = (voxels.x, voxels.row, voxels.shape[1], voxels.spacing_mm)
+    along = kernels.relocate(of_voxel, branch, offset, position, tangent, arc, *grid)
+    count, total = kernels.centroids(of_voxel, arc.size, *grid)
+    return _Stations(offset, position, tangent, arc, branch, of_voxel, along, count, total)
+
+
+def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, stations: _Stations) -> Refined:
+    """One round: windows clear of the junctions, lines, nodes, centrelines, radii."""
+    low, high = _windows(nodes, now, stations, _outward(now, stations))
+    lines = _lines(nodes, now, stations, low, high)
+    low, high = _windows(nodes, now, stations, _outward(now, stations, lines))
+    lines = _lines(nodes, now, stations, low, high)
+    radius, sd = _radii(voxels, now, stations, low, high)
+    node = _solve_nodes(nodes, now, lines)
+    _place_tips(voxels, nodes, stations, lines, radius, low, high, node)
+    width = np.maximum(radius, float(voxels.spacing_mm.min()))
+    centre = kernels.smooth_centres(
+        stations.count, stations.total, stations.offset, stations.position, stations.tangent, stations.arc,
+        low, high, width,
+    )  # fmt: skip
+    point, offset = _assemble(nodes, stations, centre, node, low, high)
+    return Refined(node, point, offset, radius, sd)
+
+
+def _outward(now: Refined, stations: _Stations, lines: _Fit | None = None) -> np.ndarray:
+    """(s, 2, 3) unit directions that leave each branch's two nodes along the branch."""
+    middle = (stations.offset[:-1] + stations.offset[1:]) // 2
+    chord = np.stack((stations.position[middle] - stations.position[stations.offset[:-1]],
+                      stations.position[middle] - stations.position[stations.offset[1:] - 1]), axis=1)  # fmt: skip
+    size = np.sqrt((chord**2).sum(axis=2, keepdims=True))
+    direction = np.where(size > 0, chord / np.maximum(size, 1e-300), np.array([1.0, 0.0, 0.0]))
+    if lines is not None:
+        good = lines.weight > 0
+        direction[good] = (lines.direction * np.array([1.0, -1.0])[None, :, None])[good]
+    return direction
+
+
+def _windows(
+    nodes: _Nodes, now: Refined, stations: _Stations, outward: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(s,), (s,) the stretch of arc length of each branch that is clear of junctions and rounded tips.
+
+    Where a branch is too short for that, the middle two fifths are used.
+    """
+    before, after = np.zeros(nodes.n - 1), np.zeros(nodes.n - 1)
+    kernels.clearance(outward, now.radius_mm, nodes.offset, nodes.branch, nodes.end, before, after)
+    tip = nodes.degree == 1
+    before[tip[nodes.proximal]] = now.radius_mm[tip[nodes.proximal]]
+    after[tip[nodes.distal]] = now.radius_mm[tip[nodes.distal]]
+    length = stations.length
+    excess = (before + after) / np.maximum(0.6 * length, 1e-300)
+    shrink = np.maximum(1.0, excess)
+    return before / shrink, length - after / shrink
+
+
+def _lines(nodes: _Nodes, now: Refined, stations: _Stations, low: np.ndarray, high: np.ndarray) -> _Fit:
+    """Lines through the sections next to each junction, as long as the vessels there are thick."""
+    thickest = np.zeros(nodes.n)
+    np.maximum.at(thickest, nodes.proximal, now.radius_mm)
+    np.maximum.at(thickest, nodes.distal, now.radius_mm)
+    parts = []
+    for at_end, node in ((False, nodes.proximal), (True, nodes.distal)):
+        reach = np.maximum(4.0 * now.radius_mm, 2.0 * thickest[node])
+        parts.append(
+            kernels.end_lines(
+                stations.count, stations.total, stations.offset, stations.arc, low, high, reach, at_end
+            )
+        )
+    centre, direction, _, weight = (np.stack(pair, axis=1) for pair in zip(*parts))
+    return _Fit(centre, direction, weight)
+
+
+def _solve_nodes(nodes: _Nodes, now: Refined, lines: _Fit) -> np.ndarray:
+    """Junctions as the points closest, in weighted least squares, to the lines that meet there."""
+    matrix = np.zeros((nodes.n, 3, 3))
+    right = np.zeros((nodes.n, 3))
+    total = np.zeros(nodes.n)
+    for end, node in ((0, nodes.proximal), (1, nodes.distal)):
+        d, weight = lines.direction[:, end], lines.weight[:, end] ** 2
+        across = weight[:, None, None] * (np.eye(3) - d[:, :, None] * d[:, None, :])
+        np.add.at(matrix, node, across)
+        np.add.at(right, node, np.einsum("nij,nj->ni", across, lines.centre[:, end]))
+        np.add.at(total, node, weight)
+    # a little pull to where the node was settles what parallel lines leave open
+    pull = np.where(total > 0, 0.01 * total, 1.0)
+    matrix += pull[:, None, None] * np.eye(3)
+    right += pull[:, None] * now.node_mm
+    return np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+
+
+def _place_tips(
+    voxels: Voxels,
+    nodes: _Nodes,
+    stations: _Stations,
+    lines: _Fit,
+    radius: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    node: np.ndarray,
+) -> None:
+    """Put the ends of terminals and stem where the volume beyond the last full section places them.
+
+    The voxels beyond a section, divided by the cross-section's area, tell how long a flat-ended vessel would go on; a
+    hemisphere that ends a vessel holds two thirds of a radius less than a flat end, and the centreline ends in its
+    centre. A vessel that leaves the volume ends where it leaves.
+    """
+    step = SECTION_VOXELS * float(voxels.spacing_mm.min())
+    cell = float(np.prod(voxels.spacing_mm))
+    for end, of_branch, limit, sign in ((0, nodes.proximal, low, -1), (1, nodes.distal, high, 1)):
+        tip = nodes.degree[of_branch] == 1
+        signs = np.where(tip, sign, 0)
+        placed = (stations.along, stations.of_voxel, stations.branch, limit, signs)
+        voxel_count = kernels.length_beyond(*placed, 2.0 * step)
+        nz, ny, nx = voxels.shape
+        cut = kernels.reaches_border(*placed, voxels.x, voxels.row, ny, nx, nz)
+        beyond = voxel_count * cell / (np.pi * radius**2) - np.where(cut, 0.0, 2.0 * radius / 3.0)
+        for b in np.flatnonzero(tip & (lines.weight[:, end] > 0)):
+            direction, centre = lines.direction[b, end], lines.centre[b, end]
+            section = _point_at(stations, b, limit[b])
+            along = ((section - centre) * direction).sum() + sign * max(0.0, beyond[b])
+            node[of_branch[b]] = centre + along * direction
+
+
+def _point_at(stations: _Stations, branch: int, arc: float) -> np.ndarray:
+    own = slice(stations.offset[branch], stations.offset[branch + 1])
+    return np.array([np.interp(arc, stations.arc[own], stations.position[own, k]) for k in range(3)])
+
+
+def _radii(
+    voxels: Voxels, now: Refined, stations: _Stations, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean radius of each branch over all directions and sections, and its standard deviation along the branch.
+
+    With the axis as origin, ``integral of dV / rho`` over a stretch of length L is ``integral of r(theta, s) dtheta ds
+    = 2 pi L <r>``: a linear functional of the mask, so that neither voxels nor roughness bias it, as they do the
+    distance map (towards thin) and the square root of the area (towards thick). The singularity on the axis is
+    replaced by an equivalent core, and the ends of the stretch are tapered.
+    """
+    step = SECTION_VOXELS * float(voxels.spacing_mm.min())
+    cell = float(np.prod(voxels.spacing_mm))
+    window = high - low
+    ramp = np.minimum(0.5 * window, np.maximum(2.0 * step, 0.25 * window))
+    ramp = np.maximum(ramp, 1e-9)
+    core = CORE * now.radius_mm
+    total = kernels.section_sums(
+        stations.of_voxel, stations.along, stations.branch, stations.position, stations.tangent, stations.arc,
+        core, low, high, ramp, voxels.x, voxels.row, voxels.shape[1], voxels.spacing_mm,
+    )  # fmt: skip
+    radius = total * cell / (2.0 * np.pi * np.maximum(window - ramp, 1e-9))
+    radius = np.where(radius > 0, radius, now.radius_mm)
+    pitch = stations.length / np.maximum(np.diff(stations.offset) - 1, 1)
+    inside = (stations.arc >= low[stations.branch]) & (stations.arc <= high[stations.branch]) & (stations.count > 0)
+    of = stations.branch[inside]
+    section = np.sqrt(stations.count[inside] * cell / (np.pi * np.maximum(pitch[of], 1e-9)))
+    n = np.maximum(np.bincount(of, minlength=radius.size), 1)
+    mean = np.bincount(of, weights=section, minlength=radius.size) / n
+    variance = np.bincount(of, weights=(section - mean[of]) ** 2, minlength=radius.size) / n
+    return radius, np.sqrt(variance)
+
+
+def _assemble(
+    nodes: _Nodes, stations: _Stations, centre: np.ndarray, node: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Polylines: proximal node, the smoothed centres inside the window, distal node."""
+    branch = stations.branch
+    inside = (stations.arc > low[branch]) & (stations.arc < high[branch]) & (stations.count > 0)
+    of = np.concatenate((branch[inside], np.arange(nodes.n - 1), np.arange(nodes.n - 1)))
+    key = np.concatenate((stations.arc[inside], np.full(nodes.n - 1, -np.inf), np.full(nodes.n - 1, np.inf)))
+    point = np.concatenate((centre[inside], node[nodes.proximal], node[nodes.distal]))
+    order = np.lexsort((key, of))
+    offset = np.concatenate(([0], np.cumsum(np.bincount(of, minlength=nodes.n - 1))))
+    return point[order], offset.astype(np.int64)

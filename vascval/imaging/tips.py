@@ -1,0 +1,47 @@
+"""Tips of vessels: the maxima of the way from a source that stick out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vascval.imaging import _geodesic_kernels as kernels
+from vascval.imaging.voxels import Voxels
+
+SALIENCE_RADII = 1.5
+SALIENCE_VOXELS = 1.5
+NOTICE_VOXELS = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Tips:
+    """``voxel`` (t,): tips of vessels, the farthest first. ``spur`` (u,): bumps that are no vessel."""
+
+    voxel: np.ndarray
+    spur: np.ndarray
+
+
+def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
+    """Find the tips of all vessels of a connected mask.
+
+    The way through the mask from its thickest voxel has a local maximum at every tip, and at every bump of a rough
+    wall. A maximum is followed down to the saddle where a farther one takes over; what hangs on it until there sticks
+    out by its persistence, the difference in way. A tip is a maximum whose persistence exceeds ``SALIENCE_RADII`` times
+    the largest distance value of that part plus ``SALIENCE_VOXELS`` voxels; lesser ones that stick out by more than
+    ``NOTICE_VOXELS`` voxels are reported as spurs.
+    """
+    spacing = voxels.spacing_mm
+    code = np.arange(27)
+    offset = np.stack((code % 3 - 1, code // 3 % 3 - 1, code // 9 - 1), axis=1)
+    step = np.sqrt(((offset * spacing) ** 2).sum(axis=1))
+    walk = (voxels.x, voxels.row, voxels.first, voxels.shape[1])
+    way = kernels.geodesic(int(np.argmax(thickness_mm)), *walk, step)
+    order = np.argsort(-way, kind="stable")
+    tip, saddle, widest = kernels.maxima(order, way, thickness_mm, *walk)
+    persistence = np.where(saddle < 0, np.inf, way[tip] - way[saddle])
+    voxel_mm = float(spacing.max())
+    salient = persistence > SALIENCE_RADII * widest + SALIENCE_VOXELS * voxel_mm
+    noticed = ~salient & (persistence > NOTICE_VOXELS * voxel_mm)
+    by_way = np.argsort(-way[tip[salient]], kind="stable")
+    return Tips(tip[salient][by_way], np.sort(tip[noticed]))
