@@ -1,186 +1,47 @@
-"""The rows and documents that commands write, as models: one place for names, types, meanings and JSON schemas.
+"""The JSON documents that commands write, as models, and the published tables that a comparison reads.
 
-A row model describes one row of a table: its field names are the headers of the CSV file and the keys of the JSON
-records. The unit is part of the name; what has none is a number or a ratio. A measure that does not exist for a row
-(the standard deviation of one vessel, the branching ratio of a generation that feeds no junction) is ``null`` in JSON
-and empty in CSV; a number that is not finite never appears.
+Rows of tables are described in :mod:`vascval.io.rows`. A number that does not exist is ``null``; one that is not
+finite never appears.
 """
 
 from __future__ import annotations
 
+import csv
 import math
+from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-Number = float | None
-Ordering = Literal["strahler", "diameter-defined"]
+from vascval.core.errors import InputError
+from vascval.io.rows import (
+    ConnectivityRow,
+    DistributionRow,
+    GenerationRow,
+    HortonRow,
+    LocationRow,
+    Number,
+    OrderRow,
+    ReferenceRow,
+    SensitivityRow,
+    TerritoryRow,
+    TotalRow,
+)
 
 
 def _f(meaning: str, **options: Any) -> Any:
     return Field(description=meaning, **options)
 
 
-class Row(BaseModel):
-    """A row of a table; nothing but the named columns."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
-class GenerationRow(Row):
-    """Vessels of one generation: the root segment has generation 1, terminals the last one."""
-
-    generation: int = _f("order of the root segment - order + 1")
-    order: int = _f("Strahler order, terminals 1")
-    n_segments: int = _f("segments: vessels between two junctions or ends")
-    n_elements: int = _f("elements: runs of segments of equal order in series")
-    radius_mean_mm: Number = _f("mean radius of the segments")
-    radius_sd_mm: Number = _f("standard deviation (n - 1) of the radius; null below two segments")
-    length_mean_mm: Number = _f("mean length of the segments along the centreline")
-    length_sd_mm: Number = _f("standard deviation (n - 1) of the length")
-    branching_ratio_mean: Number = _f("mean of thinnest over thickest child at the nodes that this generation feeds")
-    branching_ratio_sd: Number = _f("standard deviation (n - 1) of the branching ratio")
-    n_junctions: int = _f("nodes with two or more children that this generation feeds")
-    n_trifurcations: int = _f("nodes with exactly three children that this generation feeds")
-    n_monopodial: int = _f("monopodial branches that spring from this generation")
-    tortuosity_mean: Number = _f("mean of path over chord")
-    length_to_diameter_mean: Number = _f("mean of length over diameter")
-    total_length_mm: float = _f("summed length")
-
-
-class OrderRow(Row):
-    """Vessels of one order, as segments and as elements, with their standard errors."""
-
-    ordering: Ordering = _f("which order: Strahler, or diameter-defined (Jiang 1994)")
-    order: int = _f("the order, terminals 1")
-    n_segments: int = _f("number of segments")
-    radius_mean_mm: Number = _f("mean radius of the segments")
-    radius_sd_mm: Number = _f("its standard deviation (n - 1)")
-    radius_se_mm: Number = _f("its standard error")
-    length_mean_mm: Number = _f("mean length of the segments")
-    length_sd_mm: Number = _f("its standard deviation (n - 1)")
-    length_se_mm: Number = _f("its standard error")
-    n_elements: int = _f("number of elements")
-    element_radius_mean_mm: Number = _f("mean radius of the elements, each weighted by length over its segments")
-    element_radius_sd_mm: Number = _f("its standard deviation (n - 1)")
-    element_radius_se_mm: Number = _f("its standard error")
-    element_length_mean_mm: Number = _f("mean length of the elements: the sum over their segments")
-    element_length_sd_mm: Number = _f("its standard deviation (n - 1)")
-    element_length_se_mm: Number = _f("its standard error")
-    segments_per_element: Number = _f("mean number of segments of an element")
-    taper_mean_per_mm: Number = _f("mean tapering of the elements of two or more segments")
-    tortuosity_mean: Number = _f("mean of path over chord of the segments")
-    length_to_diameter_mean: Number = _f("mean of length over diameter of the segments")
-
-
-class SegmentRow(Row):
-    """One segment; the row number is the cell index in the VTP file."""
-
-    segment: int = _f("cell index, root first")
-    parent: int = _f("cell index of the segment that feeds this one, -1 where it leaves the root")
-    order: int = _f("Strahler order, terminals 1")
-    generation: int = _f("generation, root segment 1")
-    diameter_order: int | None = _f("diameter-defined order (Jiang 1994); null when the iteration did not converge")
-    element: int = _f("index of its element")
-    radius_mm: float = _f("radius")
-    length_mm: float = _f("length along the centreline")
-    chord_mm: float = _f("straight distance between its ends")
-    tortuosity: Number = _f("length over chord; null when the ends coincide")
-    length_to_diameter: float = _f("length over diameter")
-    volume_mm3: float = _f("pi r^2 l")
-    radius_to_parent: Number = _f("radius over that of the feeding segment; null at the root")
-    branching_angle_deg: Number = _f("angle between its direction and that of the feeding segment, 0 straight on")
-    monopodial: bool = _f("whether it is a monopodial branch by the thresholds of the analysis")
-    n_terminals: int = _f("terminals that it feeds")
-    proximal_x_mm: float = _f("proximal end, x")
-    proximal_y_mm: float = _f("proximal end, y")
-    proximal_z_mm: float = _f("proximal end, z")
-    distal_x_mm: float = _f("distal end, x")
-    distal_y_mm: float = _f("distal end, y")
-    distal_z_mm: float = _f("distal end, z")
-
-
-class ElementRow(Row):
-    """One element of Strahler orders: a run of segments of equal order in series."""
-
-    element: int = _f("index, root first")
-    parent_element: int = _f("index of the element that it springs from, -1 at the root")
-    order: int = _f("Strahler order")
-    generation: int = _f("generation")
-    n_segments: int = _f("number of its segments")
-    radius_mm: float = _f("mean radius, weighted by length")
-    length_mm: float = _f("summed length")
-    taper_per_mm: Number = _f(
-        "relative fall of the radius from its first to its last segment, per mm between their middles; "
-        "null with a single segment"
-    )
-
-
-class JunctionRow(Row):
-    """One node with two or more children, by the segment that feeds it."""
-
-    node: int = _f("cell index of the segment that ends here, -1 at the root point")
-    generation: int = _f("generation of the feeding segment, 0 at the root point")
-    n_children: int = _f("number of segments that leave")
-    radius_parent_mm: Number = _f("radius of the feeding segment; null at the root point")
-    radius_thickest_mm: float = _f("radius of the thickest child")
-    radius_thinnest_mm: float = _f("radius of the thinnest child")
-    branching_ratio: float = _f("thinnest over thickest child")
-    area_ratio: Number = _f("summed cross-section of the children over that of the feeding segment")
-    murray_exponent: Number = _f("g that solves r^g = sum of r_child^g; null with the reason beside it")
-    murray_reason: Literal["", "no-parent", "child-not-thinner"] = _f(
-        "why there is no exponent: the root point has no feeding segment, or a child is as thick as it"
-    )
-    angle_thickest_deg: Number = _f("angle of the thickest child to the feeding segment, 0 straight on")
-    angle_thinnest_deg: Number = _f("angle of the thinnest child to the feeding segment")
-    angle_between_deg: Number = _f("angle between the two thickest children")
-    x_mm: float = _f("position, x")
-    y_mm: float = _f("position, y")
-    z_mm: float = _f("position, z")
-
-
-class HortonRow(Row):
-    """A Horton ratio: the factor from order to order by regression of the logarithm over the orders of elements."""
-
-    ordering: Ordering = _f("which order")
-    quantity: Literal["number", "radius", "length"] = _f("number, mean radius or mean length of the elements")
-    ratio: Number = _f("10^|slope|, above 1 when numbers fall and sizes grow with the order; null with one order")
-    slope: Number = _f("slope of the decadic logarithm per order")
-    r_squared: Number = _f("coefficient of determination; 1 with two orders, whatever they are")
-    order_min: int = _f("first order used")
-    order_max: int = _f("last order used")
-    n_orders: int = _f("number of orders used")
-
-
-class ConnectivityRow(Row):
-    """C(m, n) of Jiang 1994: elements of order m that spring directly from one element of order n."""
-
-    ordering: Ordering = _f("which order")
-    order_child: int = _f("m")
-    order_parent: int = _f("n")
-    n_elements: int = _f("elements of order m that spring from elements of order n")
-    n_parent_elements: int = _f("elements of order n")
-    mean: float = _f("C(m, n) = n_elements / n_parent_elements")
-    se: Number = _f("standard error over the parent elements; null with one of them")
-
-
-class SensitivityRow(Row):
-    """How the count of monopodial branches moves with its thresholds."""
-
-    ratio_max: float = _f("largest radius relative to the largest sibling")
-    angle_min_deg: float = _f("smallest angle to the feeding segment")
-    angle_max_deg: float = _f("largest angle to the feeding segment")
-    straight_max_deg: float = _f("largest angle at which the largest sibling counts as going on")
-    n_monopodial: int = _f("monopodial branches by these thresholds")
-
-
 class Document(BaseModel):
     """A JSON document; what is named is fixed, anything may be added."""
 
-    model_config = ConfigDict(extra="allow")
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
 
 
 class Summary(Document):
@@ -248,6 +109,58 @@ class AnalyzeDocument(Document):
     image: Image | None = _f("only for a tree that comes from a volume", default=None)
 
 
+class ReferenceDocument(Document):
+    """A published per-generation table as it was read."""
+
+    source: str = _f("file name")
+    citation: str = _f("comment lines of the file: where the values come from")
+    generations: list[ReferenceRow]
+
+
+class Differences(Document):
+    """Tree minus cast by generation: each measure of the generations and, beside it, ``<measure>_relative``."""
+
+    tree: str = _f("source of the tree")
+    against: str = _f("source of what was subtracted")
+    generations: list[dict[str, Number]] = _f("rows as under generations; null where a side has no such value")
+
+
+class LocationDocument(Document):
+    """Where the vessels lie, both ways."""
+
+    tree: str = _f("source of the tree")
+    tolerance_mm: float = _f("matched: within this distance, or within the local radius where that is more")
+    step_mm: float = _f("largest distance between the points compared along a centreline")
+    generation_window: int = _f("generations that differ by at most this are like")
+    matched_threshold: float = _f("share from which on a generation counts as matched")
+    matched_down_to_generation: int = _f("last generation up to which every one of the cast is matched; 0 for none")
+    generations: list[LocationRow]
+
+
+class TerritoryDocument(Document):
+    """Overlap of perfusion territories."""
+
+    tree: str = _f("source of the tree")
+    n_points: int = _f("points of a grid in the common hull of both trees' terminals")
+    generations: list[TerritoryRow]
+
+
+class CompareDocument(Document):
+    """Output of ``vascval compare --json`` and of ``vascval demo``."""
+
+    cast: AnalyzeDocument | ReferenceDocument
+    trees: list[AnalyzeDocument]
+    reference: ReferenceDocument | None = _f("a published table beside the cast", default=None)
+    totals: list[TotalRow]
+    differences: list[Differences] = _f("tree minus cast, one per tree")
+    reference_differences: list[Differences] = _f("cast and trees minus reference")
+    distributions: list[DistributionRow]
+    location: list[LocationDocument] = _f("one per tree; empty when a published table stands in for the cast")
+    territories: list[TerritoryDocument | None] = _f("one per tree; null where the trees have no tissue in common")
+    parameters: dict[str, Any] = _f("rules used")
+    notes: list[str]
+
+
 class SkeletonizeDocument(Document):
     """Output of ``vascval skeletonize --json``."""
 
@@ -295,3 +208,76 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceTable:
+    """A published per-generation table: ``source`` (file name), ``citation`` (its comment lines, carried and shown)
+    and ``generations``, one row per generation ascending, with the columns that were given."""
+
+    source: str
+    citation: str
+    generations: pd.DataFrame
+
+    def document(self) -> dict[str, Any]:
+        """The JSON form, checked against :class:`ReferenceDocument`."""
+        document: dict[str, Any] = plain(
+            {"source": self.source, "citation": self.citation, "generations": self.generations}
+        )
+        ReferenceDocument.model_validate(document)
+        return document
+
+
+def read_reference_table(path: str | Path) -> ReferenceTable:
+    """Read a published per-generation table from a CSV file in UTF-8.
+
+    The first line that is no comment holds the columns, of which only ``generation`` is obligatory
+    (:class:`vascval.io.rows.ReferenceRow` lists them; lengths are in mm). Lines that begin with ``#`` state the source
+    of the values. Empty cells are unknown values.
+
+    :raises InputError: on a file that cannot be read, unknown, repeated or missing columns, cells that are no
+        numbers or out of range, ragged lines, and generations that are repeated or not whole numbers from 1 on.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give an existing CSV file") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not text in UTF-8; save the table as CSV in UTF-8") from None
+    citation = "\n".join(line.lstrip("# ").rstrip(" ,") for line in lines if line.startswith("#"))
+    numbered = [(k, line) for k, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    if not numbered:
+        raise InputError(f"{path}: has no table; a line with the column names and one line per generation are needed")
+    cells = list(csv.reader(line for _, line in numbered))
+    header = [name.strip() for name in cells[0]]
+    _check_header(path, header)
+    rows = []
+    for (number, _), cell in zip(numbered[1:], cells[1:]):
+        if len(cell) != len(header):
+            raise InputError(f"{path}: line {number} has {len(cell)} cells for {len(header)} columns; mend the line")
+        values = {name: text.strip() or None for name, text in zip(header, cell)}
+        try:
+            rows.append(ReferenceRow.model_validate(values).model_dump(include=set(header)))
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = f"line {number}, column {first['loc'][0]!r}"
+            raise InputError(f"{path}: {where}: {first['input']!r}: {first['msg']}; mend the cell") from None
+    repeated = [value for value, count in Counter(row["generation"] for row in rows).items() if count > 1]
+    if repeated or not rows:
+        what = f"generation {repeated[0]} comes more than once" if repeated else "there is no generation"
+        raise InputError(f"{path}: {what}; one line per generation is needed")
+    frame = pd.DataFrame(rows)[header].sort_values("generation", ignore_index=True)
+    return ReferenceTable(path.name, citation, frame.astype({name: float for name in header if name != "generation"}))
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    known = list(ReferenceRow.model_fields)
+    unknown = [name for name in header if name not in known]
+    repeated = [name for name, count in Counter(header).items() if count > 1]
+    if unknown:
+        raise InputError(f"{path}: unknown column {unknown[0]!r}; the columns are {', '.join(known)}")
+    if repeated:
+        raise InputError(f"{path}: column {repeated[0]!r} comes more than once; name each column once")
+    if "generation" not in header:
+        raise InputError(f"{path}: there is no column 'generation'; add it, the root's generation being 1")

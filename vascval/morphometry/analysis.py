@@ -41,7 +41,7 @@ class Analysis:
     * ``source``: where the tree comes from; ``tree``: the tree as measured, with its columns ``order``,
       ``generation``, ``element`` and, where it converged, ``diameter_order``;
     * ``summary``: totals (:class:`vascval.io.documents.Summary`);
-    * tables with the columns of the row models in :mod:`vascval.io.documents`: ``generations``, ``orders``,
+    * tables with the columns of the row models in :mod:`vascval.io.rows`: ``generations``, ``orders``,
       ``elements``, ``segments``, ``junctions``, ``connectivity``, ``horton``, ``monopodial_sensitivity``;
     * ``coverage`` (``None`` when there is no tissue to speak of), ``image`` (``None`` unless the tree comes from a
       volume), ``parameters`` (the rules used) and ``notes`` (what was found, repaired or left out).
@@ -158,7 +158,7 @@ def _with_orders(tree: Tree, orders: Mapping[str, np.ndarray]) -> Tree:
 
 
 def _segment_table(tree: Tree, angle: Angles, monopodial: np.ndarray) -> pd.DataFrame:
-    """One row per segment, root first (see :class:`vascval.io.documents.SegmentRow`)."""
+    """One row per segment, root first (see :class:`vascval.io.rows.SegmentRow`)."""
     length, chord, radius = tree.length_mm[1:], tree.chord_mm[1:], tree.radius_mm[1:]
     parent = tree.parent[1:]
     diameter_order = tree.columns.get("diameter_order")

@@ -63,7 +63,7 @@ def angles(tree: Tree, *, window_radii: tuple[float, float]) -> Angles:
 
 
 def junction_table(tree: Tree, generation: np.ndarray, measured: Angles) -> pd.DataFrame:
-    """One row per node with two or more children (see :class:`vascval.io.documents.JunctionRow`), ascending.
+    """One row per node with two or more children (see :class:`vascval.io.rows.JunctionRow`), ascending.
 
     The generation is that of the segment that feeds the node, 0 at the root point. Thickest and thinnest child: among
     equal radii the child that goes straighter on counts as the thicker one.

@@ -11,7 +11,7 @@ from vascval.morphometry.statistics import grouped
 
 
 def element_table(tree: Tree, order: np.ndarray) -> pd.DataFrame:
-    """One row per element of the given orders (see :class:`vascval.io.documents.ElementRow`), root first.
+    """One row per element of the given orders (see :class:`vascval.io.rows.ElementRow`), root first.
 
     The radius is the mean over its segments weighted by length (unweighted where the element has no length). An
     element springs from the one that the segment feeding its first segment belongs to.
@@ -42,7 +42,7 @@ def element_table(tree: Tree, order: np.ndarray) -> pd.DataFrame:
 
 
 def order_table(ordering: str, order: np.ndarray, segments: pd.DataFrame, elements: pd.DataFrame) -> pd.DataFrame:
-    """One row per order, ascending (see :class:`vascval.io.documents.OrderRow`).
+    """One row per order, ascending (see :class:`vascval.io.rows.OrderRow`).
 
     :param order: (N,) order of each segment, entry 0 ignored; ``elements`` is the table for these orders.
     """
@@ -64,7 +64,7 @@ def order_table(ordering: str, order: np.ndarray, segments: pd.DataFrame, elemen
 
 
 def generation_table(segments: pd.DataFrame, elements: pd.DataFrame, junctions: pd.DataFrame) -> pd.DataFrame:
-    """One row per generation, the root's first (see :class:`vascval.io.documents.GenerationRow`).
+    """One row per generation, the root's first (see :class:`vascval.io.rows.GenerationRow`).
 
     Junctions count under the generation of the segment that feeds them, monopodial branches under that of the segment
     they spring from; a junction at the root point, which nothing feeds, is in no row.
@@ -101,7 +101,7 @@ def generation_table(segments: pd.DataFrame, elements: pd.DataFrame, junctions: 
 
 
 def horton_table(ordering: str, orders: pd.DataFrame) -> pd.DataFrame:
-    """Horton's number, radius and length ratios (see :class:`vascval.io.documents.HortonRow`).
+    """Horton's number, radius and length ratios (see :class:`vascval.io.rows.HortonRow`).
 
     The decadic logarithm of the number, mean radius and mean length of the elements is fitted by a straight line over
     the orders, unweighted; the ratio is ``10^|slope|``. Two fits each where there are three orders or more: over all
@@ -134,7 +134,7 @@ def _line(x: np.ndarray, values: np.ndarray) -> tuple[float, float]:
 
 
 def connectivity_table(ordering: str, elements: pd.DataFrame) -> pd.DataFrame:
-    """The connectivity matrix of Jiang 1994 in long form (see :class:`vascval.io.documents.ConnectivityRow`).
+    """The connectivity matrix of Jiang 1994 in long form (see :class:`vascval.io.rows.ConnectivityRow`).
 
     ``C(m, n)`` is the number of elements of order m that spring directly from elements of order n, along them or at
     their end, divided by the number of elements of order n. All pairs of orders are listed, n by n; stems spring from

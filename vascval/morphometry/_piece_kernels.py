@@ -1,4 +1,4 @@
-"""Compiled search behind :mod:`vascval.morphometry.overlaps`: capsules in a tree of bounding boxes."""
+"""Compiled searches behind :mod:`vascval.morphometry.pieces`: pieces of centrelines in a tree of bounding boxes."""
 
 import numpy as np
 
@@ -102,3 +102,73 @@ def intersecting(start, end, radius, segment, parent, order, box_low, box_high, 
                 pairs[found, 1] = max(a, b)
                 found += 1
     return pairs[:found]
+
+
+@njit
+def point_distance_squared(x, p, q):
+    """Squared distance of a point from the line piece p-q."""
+    d = q - p
+    w = x - p
+    square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+    t = 0.0
+    if square > 0.0:
+        t = min(max((d[0] * w[0] + d[1] * w[1] + d[2] * w[2]) / square, 0.0), 1.0)
+    total = 0.0
+    for k in range(3):
+        total += (w[k] - t * d[k]) ** 2
+    return total
+
+
+@njit
+def _box_distance_squared(x, low, high):
+    total = 0.0
+    for k in range(3):
+        gap = max(low[k] - x[k], x[k] - high[k], 0.0)
+        total += gap * gap
+    return total
+
+
+@njit
+def nearest(points, start, end, order, box_low, box_high, n_leaves):
+    """(K,) squared distance of each point from the nearest piece.
+
+    The piece that was nearest to the point before bounds the search from the start: points come along centrelines.
+    """
+    result = np.empty(len(points))
+    stack = np.empty(128, np.int64)
+    bound = np.empty(128)
+    last = order[0]
+    for k in range(len(points)):
+        x = points[k]
+        best = point_distance_squared(x, start[last], end[last])
+        stack[0] = 1
+        bound[0] = 0.0
+        top = 1
+        while top > 0:
+            top -= 1
+            node = stack[top]
+            if bound[top] >= best:
+                continue
+            if node >= n_leaves:
+                j = order[node - n_leaves]
+                square = point_distance_squared(x, start[j], end[j])
+                if square < best:
+                    best = square
+                    last = j
+                continue
+            near, far = 2 * node, 2 * node + 1
+            near_bound = _box_distance_squared(x, box_low[near], box_high[near])
+            far_bound = _box_distance_squared(x, box_low[far], box_high[far])
+            if far_bound < near_bound:
+                near, far = far, near
+                near_bound, far_bound = far_bound, near_bound
+            if far_bound < best:
+                stack[top] = far
+                bound[top] = far_bound
+                top += 1
+            if near_bound < best:
+                stack[top] = near
+                bound[top] = near_bound
+                top += 1
+        result[k] = best
+    return result

@@ -1,0 +1,91 @@
+"""JSON Schemas of everything that is read or written, generated from the models; see ``data_schemas/``.
+
+``python -m vascval.io.schemas DIRECTORY`` writes them all.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, TypeAdapter
+
+from vascval.core.columns import COLUMNS
+from vascval.core.errors import InputError
+from vascval.io import documents
+from vascval.io.rows import TABLES
+
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_DOCUMENTS: dict[str, type[BaseModel]] = {
+    "analyze": documents.AnalyzeDocument,
+    "compare": documents.CompareDocument,
+    "demo": documents.CompareDocument,
+    "generate": documents.GenerateDocument,
+    "skeletonize": documents.SkeletonizeDocument,
+}
+
+
+def names() -> list[str]:
+    """The names of all schemas: JSON documents, ``table-*`` (CSV files as arrays of rows) and ``tree-arrays`` (VTP)."""
+    return [*_DOCUMENTS, *(f"table-{name}" for name in TABLES), "tree-arrays"]
+
+
+def schema(name: str) -> dict[str, Any]:
+    """The JSON Schema (2020-12) of that name.
+
+    :raises InputError: when there is none.
+    """
+    if name in _DOCUMENTS:
+        return {"$schema": _DIALECT, "$id": name, **_DOCUMENTS[name].model_json_schema()}
+    if name == "tree-arrays":
+        return {"$schema": _DIALECT, "$id": name, **_tree_arrays()}
+    table = TABLES.get(name.removeprefix("table-"))
+    if table is None or not name.startswith("table-"):
+        raise InputError(f"no schema is named {name!r}; the schemas are {', '.join(names())}")
+    adapter: TypeAdapter[Any] = TypeAdapter(list[table])  # type: ignore[valid-type]
+    return {"$schema": _DIALECT, "$id": name, "title": f"Table {name[6:]}", **adapter.json_schema()}
+
+
+def _tree_arrays() -> dict[str, Any]:
+    """The arrays of a VTP tree: cell arrays have one value per segment, point arrays one per point."""
+    kinds = {"float64": "number", "int32": "integer"}
+    places: dict[str, dict[str, Any]] = {"segment": {}, "node": {}}
+    for column in COLUMNS.values():
+        places[column.place][column.name] = {
+            "type": "array",
+            "items": {"type": kinds[column.dtype]},
+            "description": f"{column.meaning} [{column.unit}]",
+        }
+    return {
+        "title": "Tree arrays",
+        "description": "Arrays of a tree in VTP PolyData: one line cell per segment, root first.",
+        "type": "object",
+        "properties": {
+            "cell_data": {
+                "type": "object",
+                "properties": places["segment"],
+                "required": ["radius_mm"],
+                "additionalProperties": True,
+            },
+            "point_data": {"type": "object", "properties": places["node"], "additionalProperties": True},
+        },
+        "required": ["cell_data"],
+        "additionalProperties": True,
+    }
+
+
+def text(name: str) -> str:
+    """The schema as it is written to a file: indented, ending in a newline."""
+    return json.dumps(schema(name), indent=2, ensure_ascii=False) + "\n"
+
+
+def write_all(directory: str | Path) -> None:
+    """Write every schema as ``NAME.json`` into the directory."""
+    for name in names():
+        (Path(directory) / f"{name}.json").write_text(text(name), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_all(sys.argv[1] if len(sys.argv) > 1 else "data_schemas")
