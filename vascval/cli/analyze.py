@@ -9,7 +9,7 @@ import click
 from vascval.cli import sources
 from vascval.cli.console import progress, say, write_json
 from vascval.cli.options import Selection, json_option, unit_option, volume_options
-from vascval.cli.summary import analysis_table
+from vascval.cli.summary import generations_table, image_table, totals_table
 
 
 @click.command(
@@ -56,7 +56,10 @@ def analyze(
             write_analysis_report(measured.analysis, directory, provenance=origin, skeleton=measured.skeleton)
     document = measured.analysis.document()
     if json_file != "-":
-        say(analysis_table(document))
+        say(totals_table({source.name: document}))
+        say("\n" + generations_table(document))
+        if measured.skeleton is not None:
+            say("\n" + image_table(document["image"]))
         if directory is not None:
             say(f"\nreport: {directory / 'report.html'}")
     if json_file is not None:

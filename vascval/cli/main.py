@@ -22,7 +22,7 @@ from vascval.core.errors import VascvalError
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
-_COMMANDS = ("demo", "compare", "skeletonize", "analyze", "generate", "view", "schema")
+_COMMANDS = ("demo", "compare", "skeletonize", "analyze", "view", "schema")
 
 
 class _Commands(click.Group):
@@ -61,6 +61,9 @@ def cli() -> None:
     Turns a segmented volume (micro-CT of a corrosion cast, CT, MRI) into a tree, measures it generation by
     generation, and compares it with trees that an optimisation or another program made.
     """
+
+
+cli.params += common_options()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -159,6 +162,6 @@ def _unforeseen(state: State) -> Any:
         if state.debug:
             traceback.print_exception(kind, error, trace)
         else:
-            _complain(f"error: internal error, {kind.__name__}: {error}; run it again with --debug and report the output")
+            _complain(f"error: internal error, {kind.__name__}: {error}; run again with --debug and report the output")
 
     return hook

@@ -79,11 +79,12 @@ class Memory(click.ParamType):
 
 
 def common_options() -> list[click.Option]:
-    """``--quiet`` and ``--debug``, which every command takes."""
+    """``--quiet`` and ``--debug``, which the program and every command take."""
 
     def store(name: str) -> Callable[[click.Context, click.Parameter, bool], None]:
         def callback(context: click.Context, _parameter: click.Parameter, value: bool) -> None:
-            setattr(context.ensure_object(State), name, value)
+            if value:  # given before or after the command's name
+                setattr(context.ensure_object(State), name, True)
 
         return callback
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import click
 
 from vascval.cli import sources
-from vascval.cli.console import note, progress, say, table, write_json
+from vascval.cli.console import progress, say, write_json
 from vascval.cli.options import Selection, json_option, volume_options
+from vascval.cli.summary import image_table
 
 
 @click.command(
@@ -50,3 +51,15 @@ def skeletonize(volume: Path, output: Path, selection: Selection, json_file: str
         skeleton = sources.skeletonize(volume, selection, observer)
     write = write_swc if output.suffix.lower() == ".swc" else write_vtp
     write(skeleton.tree, output, provenance=origin)
+    document = {
+        "source": volume.name,
+        "n_terminals": skeleton.tree.topology.n_terminals,
+        "n_segments": skeleton.tree.n_segments,
+        "image": skeleton.image,
+        "provenance": origin,
+    }
+    if json_file != "-":
+        say(image_table(skeleton.image))
+        say(f"\ntree: {output}, {document['n_segments']} segments, {document['n_terminals']} terminals")
+    if json_file is not None:
+        write_json(document, json_file)

@@ -45,8 +45,7 @@ def kind(path: Path) -> Kind:
 
     :raises InputError: when it does not exist or is none of these.
     """
-    from vascval.io.trees import is_tree_path
-    from vascval.io.volumes import is_volume_path
+    from vascval.io.trees import is_tree_path, is_volume_path
 
     if not path.exists():
         raise InputError(f"{path}: no such file; check the name")
