@@ -76,45 +76,11 @@ def refine(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thickness
     :param thickness_mm: (n,) distance map.
     """
     centre = voxels.index_xyz(skeleton_voxel) * voxels.spacing_mm
-    thickness = thickness_mm[skeleton_voxel]
-    label = _nearest_point(voxels, tree, skeleton_voxel, centre, thickness)
-    branch, place = _place_on_branch(tree, skeleton_voxel.size)
     nodes = _Nodes(tree)
-    now = _first_guess(tree, centre, thickness)
-    voxel_branch, voxel_place = branch[label], place[label]
+    now = _first_guess(tree, centre, thickness_mm[skeleton_voxel])
     for _ in range(ROUNDS):
-        stations = _stations(voxels, now, voxel_branch, voxel_place)
-        now = _improve(voxels, nodes, now, stations)
-        voxel_place = stations.along / np.maximum(stations.length, 1e-300)[voxel_branch]
+        now = _improve(voxels, nodes, now, _stations(voxels, now))
     return now
-
-
-def _nearest_point(
-    voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, centre: np.ndarray, thickness: np.ndarray
-) -> np.ndarray:
-    used = np.unique(tree.point)
-    seed = np.full(voxels.n, -1, dtype=np.int32)
-    seed[skeleton_voxel[used]] = used
-    ny = voxels.shape[1]
-    return _graph_kernels.nearest_points(
-        seed, centre, thickness, voxels.x, voxels.row, voxels.first, ny, voxels.spacing_mm
-    )
-
-
-def _place_on_branch(tree: Branches, n_points: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each skeleton point its branch and its relative place (0..1) on that branch's chain.
-
-    A junction belongs to the branch that feeds it, the root point to a branch that springs from it.
-    """
-    size = np.diff(tree.offset)
-    step = np.arange(tree.point.size) - np.repeat(tree.offset[:-1], size)
-    relative = step / np.repeat(np.maximum(size - 1, 1), size)
-    of_branch = np.repeat(np.arange(tree.n, dtype=np.int32), size)
-    branch, place = np.full(n_points, -1, dtype=np.int32), np.zeros(n_points)
-    for chosen in (step == 0, step > 0):
-        branch[tree.point[chosen]] = of_branch[chosen]
-        place[tree.point[chosen]] = relative[chosen]
-    return branch, place
 
 
 def _first_guess(tree: Branches, centre: np.ndarray, thickness: np.ndarray) -> Refined:
@@ -150,13 +116,17 @@ class _Nodes:
         return int(self.degree.size)
 
 
-def _stations(voxels: Voxels, now: Refined, voxel_branch: np.ndarray, voxel_place: np.ndarray) -> _Stations:
+def _stations(voxels: Voxels, now: Refined) -> _Stations:
+    """Cross-sections every voxel along the branches, and for each voxel the one of least power distance."""
     step = SECTION_VOXELS * float(voxels.spacing_mm.min())
     offset, position, tangent, arc, branch = kernels.make_stations(now.point_mm, now.offset, step, now.radius_mm)
-    size = np.diff(offset)[voxel_branch]
-    start = np.clip(np.rint(voxel_place * (size - 1)), 0, size - 1).astype(np.int64)
-    of_voxel = offset[voxel_branch] + start
+    seed = np.full(voxels.n, -1, dtype=np.int32)
+    at = voxels.find(np.rint(position / voxels.spacing_mm).astype(np.int64))
+    seed[at[at >= 0]] = np.flatnonzero(at >= 0)
     grid = (voxels.x, voxels.row, voxels.shape[1], voxels.spacing_mm)
+    of_voxel = _graph_kernels.nearest_points(
+        seed, position, now.radius_mm[branch], voxels.x, voxels.row, voxels.first, voxels.shape[1], voxels.spacing_mm
+    )
     along = kernels.relocate(of_voxel, branch, offset, position, tangent, arc, *grid)
     count, total = kernels.centroids(of_voxel, arc.size, *grid)
     return _Stations(offset, position, tangent, arc, branch, of_voxel, along, count, total)
@@ -176,7 +146,7 @@ def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, stations: _Stations) -
         stations.count, stations.total, stations.offset, stations.position, stations.tangent, stations.arc,
         low, high, width,
     )  # fmt: skip
-    point, offset = _assemble(nodes, stations, centre, node, low, high)
+    point, offset = _assemble(nodes, stations, centre, node, lines, low, high)
     return Refined(node, point, offset, radius, sd)
 
 
@@ -317,14 +287,29 @@ def _radii(
 
 
 def _assemble(
-    nodes: _Nodes, stations: _Stations, centre: np.ndarray, node: np.ndarray, low: np.ndarray, high: np.ndarray
+    nodes: _Nodes,
+    stations: _Stations,
+    centre: np.ndarray,
+    node: np.ndarray,
+    lines: _Fit,
+    low: np.ndarray,
+    high: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Polylines: proximal node, the smoothed centres inside the window, distal node."""
+    """Polylines: proximal node, the smoothed centres inside the window, distal node.
+
+    Centres that lie behind a node that has moved are left out, so that no centreline runs back and forth.
+    """
     branch = stations.branch
+    start, end = node[nodes.proximal][branch], node[nodes.distal][branch]
+    ahead = ((centre - start) * lines.direction[:, 0][branch]).sum(axis=1) > 0
+    behind = ((end - centre) * lines.direction[:, 1][branch]).sum(axis=1) > 0
+    early = stations.arc < 0.5 * stations.length[branch]
     inside = (stations.arc > low[branch]) & (stations.arc < high[branch]) & (stations.count > 0)
-    of = np.concatenate((branch[inside], np.arange(nodes.n - 1), np.arange(nodes.n - 1)))
-    key = np.concatenate((stations.arc[inside], np.full(nodes.n - 1, -np.inf), np.full(nodes.n - 1, np.inf)))
+    inside &= np.where(early, ahead, behind)
+    n = nodes.n - 1
+    of = np.concatenate((branch[inside], np.arange(n), np.arange(n)))
+    key = np.concatenate((stations.arc[inside], np.full(n, -np.inf), np.full(n, np.inf)))
     point = np.concatenate((centre[inside], node[nodes.proximal], node[nodes.distal]))
     order = np.lexsort((key, of))
-    offset = np.concatenate(([0], np.cumsum(np.bincount(of, minlength=nodes.n - 1))))
+    offset = np.concatenate(([0], np.cumsum(np.bincount(of, minlength=n))))
     return point[order], offset.astype(np.int64)

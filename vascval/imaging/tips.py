@@ -16,7 +16,7 @@ NOTICE_VOXELS = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Tips:
-    """``voxel`` (t,): tips of vessels, the farthest first. ``spur`` (u,): bumps that are no vessel."""
+    """``voxel`` (t,): tips of vessels, the ends of the stem included. ``spur`` (u,): bumps that are no vessel."""
 
     voxel: np.ndarray
     spur: np.ndarray
@@ -25,8 +25,8 @@ class Tips:
 def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     """Find the tips of all vessels of a connected mask.
 
-    The way through the mask from its thickest voxel has a local maximum at every tip, and at every bump of a rough
-    wall. A maximum is followed down to the saddle where a farther one takes over; what hangs on it until there sticks
+    The way through the mask from one of its ends (the place farthest from the thickest voxel) has a local maximum at
+    every other tip, and at every bump of a rough wall. A maximum is followed down to the saddle where a farther one takes over; what hangs on it until there sticks
     out by its persistence, the difference in way. A tip is a maximum whose persistence exceeds ``SALIENCE_RADII`` times
     the largest distance value of that part plus ``SALIENCE_VOXELS`` voxels; lesser ones that stick out by more than
     ``NOTICE_VOXELS`` voxels are reported as spurs.
@@ -36,7 +36,8 @@ def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     offset = np.stack((code % 3 - 1, code // 3 % 3 - 1, code // 9 - 1), axis=1)
     step = np.sqrt(((offset * spacing) ** 2).sum(axis=1))
     walk = (voxels.x, voxels.row, voxels.first, voxels.shape[1])
-    way = kernels.geodesic(int(np.argmax(thickness_mm)), *walk, step)
+    source = int(np.argmax(kernels.geodesic(int(np.argmax(thickness_mm)), *walk, step)))
+    way = kernels.geodesic(source, *walk, step)
     order = np.argsort(-way, kind="stable")
     tip, saddle, widest = kernels.maxima(order, way, thickness_mm, *walk)
     persistence = np.where(saddle < 0, np.inf, way[tip] - way[saddle])
@@ -44,4 +45,4 @@ def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     salient = persistence > SALIENCE_RADII * widest + SALIENCE_VOXELS * voxel_mm
     noticed = ~salient & (persistence > NOTICE_VOXELS * voxel_mm)
     by_way = np.argsort(-way[tip[salient]], kind="stable")
-    return Tips(tip[salient][by_way], np.sort(tip[noticed]))
+    return Tips(np.concatenate((tip[salient][by_way], [source])), np.sort(tip[noticed]))

@@ -37,6 +37,16 @@ class Voxels:
         row = self.row[voxel]
         return np.stack((self.x[voxel], row % self.shape[1], row // self.shape[1]), axis=-1)
 
+    def find(self, index_xyz: np.ndarray) -> np.ndarray:
+        """(k,) the foreground voxel at each integer (k, 3) index, -1 where there is none."""
+        nz, ny, nx = self.shape
+        x, y, z = np.asarray(index_xyz, dtype=np.int64).T
+        inside = (x >= 0) & (x < nx) & (y >= 0) & (y < ny) & (z >= 0) & (z < nz)
+        key = self.row.astype(np.int64) * nx + self.x
+        wanted = (z * ny + y) * nx + x
+        at = np.minimum(np.searchsorted(key, wanted), self.n - 1)
+        return np.where(inside & (key[at] == wanted), at, -1)
+
 
 def from_runs(runs: Runs, spacing_mm: np.ndarray) -> Voxels:
     """List the voxels of the runs."""
