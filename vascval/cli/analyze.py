@@ -13,6 +13,7 @@ from vascval.cli.summary import generations_table, image_table, totals_table
 
 
 @click.command(
+    short_help="Statistics of one tree or volume",
     epilog="""\b
 Examples:
   vascval analyze tree.vtp

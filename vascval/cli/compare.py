@@ -22,6 +22,7 @@ DIRECTORY = "vascval-compare"
 
 
 @click.command(
+    short_help="A cast against trees: the report",
     epilog=f"""\b
 Examples:
   vascval compare cast.nrrd tree.vtp
@@ -29,7 +30,7 @@ Examples:
   vascval compare cast.vtp tree.vtp --reference published.csv
   vascval compare published.csv tree.vtp
 
-\\b
+\b
 The report is a directory (default {DIRECTORY}, in the current one): report.html, one
 file that opens offline; figures/ as SVG and PNG; tables/ as CSV; report.json; and
 the tree of the cast as cast.vtp. With --json alone no directory is written.

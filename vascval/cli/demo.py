@@ -20,6 +20,7 @@ VOXEL_MM = 0.25
 
 
 @click.command(
+    short_help="The whole job with no input needed",
     epilog=f"""\b
 Examples:
   vascval demo

@@ -10,6 +10,7 @@ from vascval.cli.console import say
 
 
 @click.command(
+    short_help="JSON Schemas of files read and written",
     epilog="""\b
 Examples:
   vascval schema                      the names

@@ -13,6 +13,7 @@ from vascval.cli.summary import image_table
 
 
 @click.command(
+    short_help="A volume to a tree",
     epilog="""\b
 Examples:
   vascval skeletonize cast.nrrd -o cast.vtp

@@ -11,6 +11,7 @@ from vascval.cli.options import unit_option
 
 
 @click.command(
+    short_help="A tree in 3-D",
     epilog="""\b
 Examples:
   vascval view tree.vtp
