@@ -174,3 +174,33 @@ def join_node(parent, position, feeds, point, nodes, tip, share, rules):
         if volume < best:
             best, best_parent, best_position, best_feeds = volume, new_parent, new_position, new_feeds
     return best, best_parent, best_position, best_feeds
+
+
+@njit
+def euler_number(mask):
+    """Pieces - tunnels + cavities of the closed voxels of ``mask`` (z, y, x), that touch by faces, edges or corners.
+
+    Vertices - edges + faces - cubes of the complex of unit cubes, each counted at its lowest corner.
+    """
+    nz, ny, nx = mask.shape
+    euler = 0
+    around = np.zeros((2, 2, 2), dtype=np.bool_)
+    for k in range(nz + 1):
+        for j in range(ny + 1):
+            for i in range(nx + 1):
+                some = False
+                for c in range(max(0, k - 1), min(nz, k + 1)):
+                    for b in range(max(0, j - 1), min(ny, j + 1)):
+                        for a in range(max(0, i - 1), min(nx, i + 1)):
+                            some = some or mask[c, b, a] != 0
+                if not some:
+                    continue
+                for c in range(2):
+                    for b in range(2):
+                        for a in range(2):
+                            z, y, x = k + c - 1, j + b - 1, i + a - 1
+                            inside = 0 <= z < nz and 0 <= y < ny and 0 <= x < nx
+                            around[c, b, a] = inside and mask[z, y, x] != 0
+                euler += 1 - around[1].any() - around[:, 1].any() - around[:, :, 1].any()
+                euler += around[1, 1].any() + around[1, :, 1].any() + around[:, 1, 1].any() - around[1, 1, 1]
+    return euler

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +23,7 @@ def bar(axis: int, width: int, height: int, *, length: int = 40) -> Volume:
 
 
 def capsule(
-    direction: np.ndarray, radius_mm: float, *, length_mm: float = 40.0, shift_mm: tuple[float, float, float] = (0, 0, 0)
+    direction: Sequence[float], radius_mm: float, *, length_mm: float = 40.0, shift_mm: Sequence[float] = (0, 0, 0)
 ) -> Phantom:
     """A single straight vessel, its first end at ``shift_mm`` from the centre of a voxel."""
     start = np.asarray(shift_mm, dtype=np.float64)
