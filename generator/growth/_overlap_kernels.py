@@ -1,0 +1,84 @@
+"""Do new vessels keep clear of those that are there?
+
+Two vessels without a common node overlap where their axes come closer than the sum of their radii. Radii of the tree
+are those of the last sweep; the caller asks for a margin.
+"""
+
+from generator.growth._index_kernels import cell_of
+from vascval.core.jit import njit
+
+
+@njit
+def square_between(ax, ay, az, bx, by, bz, r):
+    """Square of the distance between the segment from ``a`` to ``b`` and the segment in record ``r``.
+
+    The quadratic form of the distance is convex in the two parameters: its minimum over one, clamped, is put into the
+    other, clamped, and back.
+    """
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = r.bx - r.ax, r.by - r.ay, r.bz - r.az
+    wx, wy, wz = ax - r.ax, ay - r.ay, az - r.az
+    uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
+    uv = ux * vx + uy * vy + uz * vz
+    uw, vw = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
+    det = uu * vv - uv * uv
+    s = 0.0
+    if det > 1e-12 * uu * vv:
+        s = min(max((uv * vw - vv * uw) / det, 0.0), 1.0)
+    t = (uv * s + vw) / vv if vv > 0.0 else 0.0
+    t = min(max(t, 0.0), 1.0)
+    if uu > 0.0:
+        s = min(max((uv * t - uw) / uu, 0.0), 1.0)
+    dx, dy, dz = wx + s * ux - t * vx, wy + s * uy - t * vy, wz + s * uz - t * vz
+    return dx * dx + dy * dy + dz * dz
+
+
+@njit
+def meets(store, o, ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
+    """Does vessel ``o`` overlap one from ``a`` to ``b``, ``node_a`` to ``node_b``, that shares no node with it?"""
+    r = store.segment[o]
+    if o == 0 or o == skip or o == node_a or o == node_b or r.parent == node_a or r.parent == node_b:
+        return False
+    return square_between(ax, ay, az, bx, by, bz, r) < (margin * (radius + r.radius)) ** 2
+
+
+@njit
+def clear(store, grid, ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
+    """Does a vessel from ``a`` to ``b`` keep clear of all others?
+
+    Thin ones are found in the cells around it; the few whose radius is beyond ``Store.thin`` are gone through one by
+    one.
+    """
+    reach = (radius + store.thin[0]) * margin
+    i0, j0, k0 = cell_of(grid, min(ax, bx) - reach, min(ay, by) - reach, min(az, bz) - reach)
+    i1, j1, k1 = cell_of(grid, max(ax, bx) + reach, max(ay, by) + reach, max(az, bz) + reach)
+    for i in range(i0, i1 + 1):
+        for j in range(j0, j1 + 1):
+            for k in range(k0, k1 + 1):
+                e = grid.head[i, j, k]
+                while e >= 0:
+                    if meets(store, grid.owner[e], ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
+                        return False
+                    e = grid.link[e]
+    for c in range(store.count[5]):
+        if meets(store, store.thick[c], ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
+            return False
+    return True
+
+
+@njit
+def keeps_apart(store, grid, s, bx, by, bz, x, y, z, found, margin):
+    """Do the three segments of a bifurcation at ``b`` on segment ``s`` keep clear? New nodes have no number yet: -2."""
+    r = store.segment[s]
+    return (
+        clear(store, grid, bx, by, bz, x, y, z, found[9], -2, -2, s, margin)
+        and clear(store, grid, r.ax, r.ay, r.az, bx, by, bz, found[7], r.parent, -2, s, margin)
+        and clear(store, grid, bx, by, bz, r.bx, r.by, r.bz, found[8], -2, s, s, margin)
+    )
+
+
+@njit
+def springs_apart(store, grid, s, x, y, z, radius, margin):
+    """Does a new terminal from the proximal node of ``s`` keep clear?"""
+    r = store.segment[s]
+    return clear(store, grid, r.ax, r.ay, r.az, x, y, z, radius, r.parent, -2, -2, margin)

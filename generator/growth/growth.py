@@ -1,0 +1,299 @@
+"""Constrained constructive optimisation (Karch 1999; paper, section 2.2): a tree grown terminal by terminal.
+
+A point drawn from the domain, far enough from the tree, is tried as a new terminal on each of the nearest segments;
+the bifurcation is put where the volume of the whole tree is least, and the best connection stays. ``Growth`` holds the
+state; it is advanced by iterating over :meth:`Growth.steps` and may be left off and read at any step.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from generator.domain import Domain
+from generator.growth import _growth_kernels as kernels
+from generator.growth._grid import SegmentGrid
+from generator.growth._records import SEGMENT, VISIT, Rules, Stems, Store
+from generator.growth.root_tree import RootTree
+from generator.haemodynamics import Perfusion, perfused_tree
+from vascval.core.errors import ComputationError, InputError
+from vascval.core.ordering import root_first
+from vascval.core.tree import Topology, Tree
+
+_STEP_S = 0.2
+_BATCH = 100
+
+
+@dataclass(frozen=True)
+class GrowthOptions:
+    """How a tree is grown.
+
+    * ``n_connections``: nearest segments tried for each new terminal;
+    * ``diameters``: shortest length of a new segment in its own diameters;
+    * ``shortest_mm``: shortest length of a new segment;
+    * ``merge_mm``: a bifurcation this close to the proximal node of the segment is not made, the new terminal springs
+      from that node instead (Algorithm 1, lines 4-8); ``None``: bifurcations only;
+    * ``thinnest_mm``: smallest radius of a new terminal, ``at_thinnest`` what happens there: growth ends (``stop``) or
+      fails (``error``);
+    * ``apart``: vessels without a common node keep apart by this times the sum of their radii; 0: they may overlap.
+
+    :raises InputError: when a value makes no sense.
+    """
+
+    n_connections: int = 32
+    diameters: float = 1.0
+    shortest_mm: float = 0.0
+    merge_mm: float | None = None
+    thinnest_mm: float = 0.0
+    at_thinnest: Literal["stop", "error"] = "error"
+    apart: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.n_connections < 1:
+            raise InputError(f"n_connections is {self.n_connections}; at least one segment must be tried")
+        for name in ("diameters", "shortest_mm", "thinnest_mm", "apart"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise InputError(f"{name} is {value}; a finite number of 0 or more is needed")
+
+    @property
+    def rules(self) -> Rules:
+        merge = -1.0 if self.merge_mm is None else self.merge_mm
+        return Rules(self.n_connections, self.diameters, self.shortest_mm, merge, self.thinnest_mm, self.apart)
+
+
+@dataclass(frozen=True)
+class Step:
+    """Where growth stands: terminals so far and asked for, volume of the tree."""
+
+    n_terminals: int
+    n_target: int
+    volume_mm3: float
+
+
+class Growth:
+    """A tree that grows in a domain.
+
+    :param root: the root point (3,), or the root tree whose segments and radii are given.
+    :param n_terminals: how many terminals to grow.
+    :param terminals_mm: (n_terminals, 3) where they are, in the order of insertion; drawn from ``rng`` if ``None``.
+    :raises InputError: when the root or terminals lie outside, or terminals coincide.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        perfusion: Perfusion,
+        root: np.ndarray | RootTree,
+        n_terminals: int,
+        *,
+        options: GrowthOptions | None = None,
+        rng: np.random.Generator,
+        terminals_mm: np.ndarray | None = None,
+    ) -> None:
+        self.domain, self.perfusion, self.rng = domain, perfusion, rng
+        self.options = options or GrowthOptions()
+        self._rules = self.options.rules
+        self.root_tree = root if isinstance(root, RootTree) else RootTree.point(root)
+        self.root_tree.require_inside(domain)
+        if n_terminals < len(self.root_tree.open_nodes):
+            raise InputError(
+                f"n_terminals is {n_terminals}; at least {len(self.root_tree.open_nodes)} are needed, one for the root "
+                "or for each end of the root tree"
+            )
+        self.n_terminals = int(n_terminals)
+        self._given = None if terminals_mm is None else _checked_terminals(domain, terminals_mm, self.n_terminals)
+        self._points = np.zeros((0, 3))
+        self._outcome = np.zeros(0, np.int8)
+        self._store = _empty_store(self.root_tree, self.n_terminals, perfusion.gamma)
+        self._stems = _stems(self.root_tree, perfusion)
+        kernels.load(self._store, self._stems, self.root_tree.parent, self.root_tree.position_mm)
+        self._store.segment["radius"][: self._store.n_fixed] = self.root_tree.radius_mm
+        self._grid = SegmentGrid(domain, self._store)
+        self._scratch = np.zeros(self.options.n_connections, np.int32), np.zeros(self.options.n_connections)
+        self.stopped_at_thinnest = False
+
+    @property
+    def n_grown(self) -> int:
+        """Terminals so far."""
+        return int(self._store.count[1])
+
+    @property
+    def finished(self) -> bool:
+        return self.n_grown == self.n_terminals or self.stopped_at_thinnest
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of the vessels grown so far, without the root tree's."""
+        stems, flow = self._stems, self.perfusion.flow_mm3_s / max(self.n_grown, 1)
+        drop = stems.drop_pa - flow * stems.shared @ stems.n
+        scale = np.pi * np.sqrt(self.perfusion.kappa_pa_s * flow / drop)
+        return float((scale * np.exp(stems.cost))[stems.n > 0].sum())
+
+    def steps(self) -> Iterator[Step]:
+        """Grow, a fraction of a second at a time, until all terminals are placed or the thinnest radius is reached.
+
+        :raises InputError: when terminals cannot be placed.
+        :raises ComputationError: when ``thinnest_mm`` cannot be kept and ``at_thinnest`` is ``error``.
+        """
+        pace = 100
+        while not self.finished:
+            began = time.perf_counter()
+            if self.n_grown < len(self.root_tree.open_nodes):
+                self._begin()
+            self._advance(min(self.n_grown + pace, self.n_terminals))
+            took = time.perf_counter() - began
+            pace = int(max(50, pace * min(2.0, _STEP_S / max(took, 1e-3))))
+            yield Step(self.n_grown, self.n_terminals, self.volume_mm3)
+
+    def tree(self) -> Tree:
+        """What has grown so far, perfused: see :func:`generator.haemodynamics.perfused_tree`.
+
+        :raises ComputationError: when nothing has grown, or the root tree uses up the pressure.
+        """
+        size = int(self._store.count[0])
+        if self.n_grown < max(1, len(self.root_tree.open_nodes)):
+            raise ComputationError("nothing has grown yet; let growth go on for a step")
+        segment = self._store.segment[:size]
+        order = root_first(segment["parent"])
+        rank = np.empty(size, np.int32)
+        rank[order] = np.arange(size)
+        parent = np.concatenate(([-1], rank[segment["parent"][order[1:]]]))
+        position = np.column_stack([segment[name][order] for name in ("bx", "by", "bz")])
+        fixed = np.full(size, np.nan)
+        fixed[rank[1 : self._store.n_fixed]] = self.root_tree.radius_mm[1:]
+        return perfused_tree(Topology(parent), position, self.perfusion, fixed)
+
+    def _begin(self) -> None:
+        """A first terminal at the root, or at every end of the root tree: points nearest to it that it can see."""
+        ends = self.root_tree.open_nodes
+        position = self.root_tree.position_mm[ends]
+        for number, node in enumerate(ends):
+            point = self._first_point(number, position)
+            kernels.begin(self._store, self._stems, self._grid.grid, node, *point)
+        if not np.isfinite(self.volume_mm3):
+            raise ComputationError(
+                "the root tree uses up the pressure before its ends; widen it, lower the flow or raise the root pressure"
+            )
+
+    def _first_point(self, number: int, ends: np.ndarray) -> np.ndarray:
+        for _ in range(50):
+            points = self.domain.sample(200, self.rng) if self._given is None else self._given
+            offset = ((points[:, None] - ends[None]) ** 2).sum(axis=2)
+            mine = np.flatnonzero((offset.argmin(axis=1) == number) & (offset[:, number] > 0.0))
+            seen = mine[self.domain.segments_inside(np.broadcast_to(ends[number], (mine.size, 3)), points[mine])]
+            if seen.size:
+                if self._given is not None:
+                    self._given = np.delete(self._given, seen[0], axis=0)
+                return points[seen[0]]
+            if self._given is not None:
+                break
+        raise InputError(
+            f"no terminal can be placed at the root {ends[number].round(3).tolist()}: no point nearest to it is joined to "
+            "it by a straight line inside the domain; move the root away from the wall or into a wider place"
+        )
+
+    def _advance(self, target: int) -> None:
+        """Grow to ``target`` terminals, refilling points and laying the grid anew as needed."""
+        while self.n_grown < target and not self.stopped_at_thinnest:
+            goal = min(target, self._grid.good_until)
+            spacing = self.domain.volume_mm3 if self._given is None else 0.0
+            code = kernels.grow(
+                self._store, self._stems, self._rules, self._grid.grid, self.domain.space, self._points,
+                self._outcome, spacing, goal, *self._scratch,
+            )  # fmt: skip
+            if code == kernels.NO_ROOM:
+                self._grid.widen()
+            elif code == kernels.NO_MORE_POINTS:
+                self._refill()
+            elif code == kernels.STUCK:
+                self._stuck()
+            if self.n_grown >= self._grid.good_until:
+                self._grid.renew()
+
+    def _refill(self) -> None:
+        if self._given is not None:
+            self._refill_given()
+            return
+        self._points = self.domain.sample(_BATCH * min(max(self.n_grown, 20), 10_000), self.rng)
+        self._outcome = np.zeros(len(self._points), np.int8)
+        self._store.count[3] = 0
+
+    def _refill_given(self) -> None:
+        """The points that were refused once more: the tree may have come nearer; last without rules for lengths."""
+        assert self._given is not None
+        refused = self._points[self._outcome != kernels.PLACED] if len(self._points) else self._given
+        if len(refused) == len(self._points):
+            relaxed = self._rules._replace(diameters=0.0, shortest_mm=0.0, merge_mm=-1.0)
+            if self._rules == relaxed:
+                first = refused[0].round(3).tolist()
+                raise InputError(
+                    f"{len(refused)} terminals cannot be joined to the tree by straight vessels inside the domain "
+                    f"(first: {first}); move or drop them"
+                )
+            self._rules = relaxed
+        self._points, self._outcome = refused, np.zeros(len(refused), np.int8)
+        self._store.count[3] = 0
+
+    def _stuck(self) -> None:
+        if self._outcome[self._store.count[3] - 1] == kernels.TOO_THIN:
+            if self.options.at_thinnest == "stop":
+                self.stopped_at_thinnest = True
+                return
+            raise ComputationError(
+                f"terminal {self.n_grown + 1} would be thinner than r_min {self.options.thinnest_mm:g} mm: with this pressure "
+                "drop and flow so many terminals cannot be that thick; ask for fewer terminals, lower r_min, or stop there"
+            )
+        raise InputError(
+            f"{self._store.count[4]} points in a row could not be joined to the tree of {self.n_grown} terminals; the rest "
+            "of the domain cannot be reached in straight lines, or the rules for length and distance leave no room"
+        )
+
+
+def _empty_store(root_tree: RootTree, n_terminals: int, gamma: float) -> Store:
+    n_fixed = root_tree.parent.size
+    size = n_fixed + 2 * n_terminals
+    segment, visit = np.zeros(size, SEGMENT), np.zeros(size, VISIT)
+    count = np.zeros(6, np.int64)
+    return Store(n_fixed, float(gamma), segment, visit, count, np.zeros(0, np.int32), np.array([np.inf]))
+
+
+def _stems(root_tree: RootTree, perfusion: Perfusion) -> Stems:
+    shared = perfusion.kappa_pa_s * root_tree.shared_resistance()
+    n = len(shared)
+    return Stems(
+        top=np.full(n, -1, np.int32),
+        n=np.zeros(n),
+        cost=np.zeros(n),
+        shared=shared,
+        drop_pa=float(perfusion.pressure_drop_pa),
+        flow_mm3_s=float(perfusion.flow_mm3_s),
+        kappa_pa_s=float(perfusion.kappa_pa_s),
+        mark=np.full(n, -1, np.int64),
+        others=np.zeros(n),
+        own=np.zeros(n),
+    )
+
+
+def _checked_terminals(domain: Domain, terminals_mm: np.ndarray, n_terminals: int) -> np.ndarray:
+    points = np.array(terminals_mm, dtype=np.float64)
+    if points.shape != (n_terminals, 3):
+        raise InputError(f"terminals have shape {points.shape}; ({n_terminals}, 3) is needed")
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise InputError(f"{bad.size} terminals are not finite (first: number {bad[0] + 1}); mend or drop them")
+    outside = np.flatnonzero(~domain.contains(points))
+    if outside.size:
+        first = points[outside[0]].round(3).tolist()
+        raise InputError(
+            f"{outside.size} terminals lie outside the domain (first: number {outside[0] + 1} at {first}); move or drop them"
+        )
+    _, index = np.unique(points, axis=0, return_index=True)
+    if len(index) < len(points):
+        twice = np.setdiff1d(np.arange(len(points)), index)
+        raise InputError(f"{twice.size} terminals coincide with another (first: number {twice[0] + 1}); drop them")
+    return points
