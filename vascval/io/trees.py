@@ -2,40 +2,98 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from vascval.core.errors import InputError
 from vascval.core.tree import Tree
+from vascval.io import xml_guard
+from vascval.io.assembly import Keep, assemble
+from vascval.io.foreign import sketch_of
+from vascval.io.gxl import read_gxl
 from vascval.io.image_headers import first_bytes
-from vascval.io.polydata import read_vtp
+from vascval.io.length_units import require_unit
+from vascval.io.polydata import read_legacy, read_vtp
+from vascval.io.swc import read_swc, write_swc
 from vascval.io.tables import write_table
+from vascval.io.volumes import is_volume_path
 from vascval.io.vtp import is_own, own_tree, write_vtp
 
-__all__ = ["is_tree_path", "is_volume_path", "read_tree", "write_table", "write_vtp"]
+__all__ = ["is_tree_path", "is_volume_path", "read_tree", "write_swc", "write_table", "write_tree", "write_vtp"]
 
-TREE_SUFFIXES = (".vtp", ".vtk", ".swc", ".gxl", ".gxl.xml", ".xml")
-VOLUME_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd", ".tif", ".tiff")
+SUFFIXES = (".vtp", ".vtk", ".swc", ".gxl", ".xml")
 
 
 def is_tree_path(path: Path | str) -> bool:
     """Whether the name is that of a tree file."""
-    return str(path).lower().endswith(TREE_SUFFIXES)
+    return str(path).lower().endswith(SUFFIXES)
 
 
-def is_volume_path(path: Path | str) -> bool:
-    """Whether the name is that of a volume, or a folder (of slices)."""
-    return str(path).lower().endswith(VOLUME_SUFFIXES) or Path(path).is_dir()
+def read_tree(path: Path | str, *, unit: str | None = None, keep: Keep = "largest") -> Tree:
+    """The tree in a VTP, legacy VTK, SWC or GXL file, in millimetres, oriented away from its root.
 
+    Our own VTP files read back as they were written. Whatever had to be guessed or mended in others stands as
+    sentences in ``meta["guesses"]``: the unit, the root, which array is the radius, loops, separate trees.
 
-def read_tree(path: Path | str, *, unit: str | None = None) -> Tree:
-    """A tree from a file."""
+    :param unit: of positions and radii (``um``, ``mm``, ``cm``, ``m``); by default what the file says, else a guess.
+    :param keep: what to do with several trees in one file: keep the ``"largest"`` by length, or ``"error"``.
+    :raises InputError: with the name of the file, what is wrong and the remedy.
+    """
     path = Path(path)
-    if not first_bytes(path, 1):
-        raise InputError(f"{path}: the file is empty; check how it was written")
-    data = read_vtp(path)
-    if not is_own(data):
-        raise InputError(f"{path}: its lines do not form a rooted tree with a parent for each; convert it first")
+    unit = None if unit is None else require_unit(unit)
+    head = first_bytes(path, 4096)
     try:
-        return own_tree(data)
+        return _read(path, head, unit, keep)
     except InputError as error:
+        if str(error).startswith(f"{path}:"):
+            raise
         raise InputError(f"{path}: {error}") from error
+    except MemoryError as error:
+        raise InputError(f"{path}: does not fit into memory; is it damaged?") from error
+
+
+def _read(path: Path, head: bytes, unit: str | None, keep: Keep) -> Tree:
+    if not head:
+        raise InputError("the file is empty; check how it was written")
+    if head.startswith(b"# vtk DataFile"):
+        data = read_legacy(path)
+        kind, (sketch, unit) = "legacy VTK", sketch_of(data, unit)
+    elif head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") or head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        if _root_element(path) == "gxl":
+            kind, (sketch, unit) = "GXL", read_gxl(path, unit)
+        else:
+            data = read_vtp(path)
+            if is_own(data):
+                if unit not in (None, "mm"):
+                    raise InputError(f"its arrays are in mm by their names, not {unit}; leave the unit away")
+                return own_tree(data)
+            kind, (sketch, unit) = "VTP", sketch_of(data, unit)
+    elif b"\0" not in head and (path.suffix.lower() == ".swc" or head.lstrip()[:1] in b"#0123456789"):
+        kind, (sketch, unit) = "SWC", read_swc(path, unit)
+    else:
+        raise InputError("is no tree that can be read; give VTP, legacy VTK (poly data), SWC or GXL")
+    return assemble(sketch, keep=keep, meta={"source": path.name, "format": kind, "unit": unit})
+
+
+def _root_element(path: Path) -> str:
+    names: list[str] = []
+
+    def first(name: str, _: dict[str, str]) -> bool:
+        names.append(name)
+        return True
+
+    xml_guard.parse(path, first)
+    return names[0]
+
+
+def write_tree(tree: Tree, path: Path | str, provenance: Mapping[str, Any] | None = None) -> None:
+    """The tree as VTP or SWC by the suffix (see :func:`write_vtp`, :func:`write_swc`).
+
+    :raises InputError: for another suffix or a place that cannot be written.
+    """
+    writers = {".vtp": write_vtp, ".swc": write_swc}
+    writer = writers.get(Path(path).suffix.lower())
+    if writer is None:
+        raise InputError(f"{path}: trees are written as .vtp or .swc; choose one of these")
+    writer(tree, path, provenance)

@@ -77,6 +77,11 @@ class Volume:
         return (np.asarray(world_mm, dtype=np.float64) - self.origin_mm) @ inverse.T / self.spacing_mm
 
 
+def is_volume_path(path: Path | str) -> bool:
+    """Whether the name is that of a volume, or of a folder (of slices)."""
+    return str(path).lower().endswith(SUFFIXES) or Path(path).is_dir()
+
+
 def check_spacing(spacing_mm: np.ndarray) -> None:
     """:raises InputError: when a spacing is not finite, not positive, above 1 m or differs 1000-fold between axes."""
     spacing = np.asarray(spacing_mm, dtype=np.float64)
