@@ -38,7 +38,7 @@ def test_imports_point_downwards():
 
 @pytest.mark.parametrize("path", KERNELS, ids=relative)
 def test_kernels_import_little(path):
-    allowed = {"numpy", "math", "numba", "vascval.core.jit", "__future__"}
+    allowed = {"numpy", "math", "numba", "vascval.core.jit", "__future__", "typing"}
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names = {alias.name for alias in node.names}
@@ -55,12 +55,18 @@ def test_files_are_short():
     assert not long
 
 
+def lines_of(node: ast.stmt) -> int:
+    return (node.end_lineno or 0) - node.lineno + 1
+
+
 def test_functions_are_short():
+    """Docstrings are not counted: a long explanation is no fault."""
     long = []
     for path in SOURCES:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-                n = (node.end_lineno or 0) - node.lineno + 1
+                docstring = node.body[0] if ast.get_docstring(node) is not None else None
+                n = lines_of(node) - (lines_of(docstring) if docstring else 0)
                 if n > MAX_FUNCTION_LINES:
                     long.append(f"{relative(path)}:{node.lineno} {node.name} has {n} lines")
     assert not long

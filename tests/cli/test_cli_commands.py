@@ -60,14 +60,15 @@ def test_skeletonize(tmp_path, cast_file, tree, capsys):
 
 
 def test_skeletonize_to_swc_from_a_label(tmp_path, mask, capsys):
-    path = write_nrrd(tmp_path / "labels.nrrd", mask * np.uint8(64) + np.eye(1, dtype=np.uint8)[0, 0] * (mask == 0))
+    path = write_nrrd(tmp_path / "labels.nrrd", np.where(mask > 0, 64, 1).astype(np.uint8))
     run(["skeletonize", path, "--label", "64", "-o", tmp_path / "cast.swc"], capsys)
     assert read_tree(tmp_path / "cast.swc").topology.n_terminals == 4
 
 
 @pytest.mark.parametrize("threshold", ["auto", "100"])
 def test_threshold_of_a_grey_volume(threshold, tmp_path, mask, capsys):
-    grey = np.where(mask > 0, 200, 20).astype(np.int16) + (np.arange(mask.size).reshape(mask.shape) % 7).astype(np.int16)
+    ripple = np.arange(mask.size).reshape(mask.shape) % 7
+    grey = (np.where(mask > 0, 200, 20) + ripple).astype(np.int16)
     path = write_nrrd(tmp_path / "grey.nrrd", grey)
     out = run(["skeletonize", path, "--threshold", threshold, "-o", tmp_path / "cast.vtp"], capsys)
     assert "7 segments, 4 terminals" in out

@@ -48,6 +48,13 @@ the tree of the cast as cast.vtp. With --json alone no directory is written.
     metavar="CSV",
     help="A published table by generation, shown beside the cast.",
 )
+@click.option(
+    "--tolerance",
+    "tolerance_mm",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="MM",
+    help="Vessels this near lie in one place.  [default: 1 % of the diagonal of the cast's bounding box]",
+)
 @volume_options
 @unit_option
 def compare(
@@ -56,6 +63,7 @@ def compare(
     directory: Path | None,
     json_file: str | None,
     reference: Path | None,
+    tolerance_mm: float | None,
     selection: Selection,
     unit: str | None,
 ) -> None:
@@ -75,13 +83,14 @@ def compare(
 
     names = sources.names(trees)
     cast_name = cast.name if cast.name not in names else f"{cast.name} (cast)"
-    origin = provenance(command="compare", config={**selection.config(), "unit": unit}, seed=None, inputs=inputs)
+    config = {**selection.config(), "unit": unit, "tolerance_mm": tolerance_mm}
+    origin = provenance(command="compare", config=config, seed=None, inputs=inputs)
     with progress() as observer:
         if sources.kind(cast) == "table":
             against: Measured | Path = cast
         else:
             against = sources.measure(cast, cast_name, selection, unit, observer)
-        comparison = compared(against, list(zip(trees, names)), reference, unit, observer)
+        comparison = compared(against, list(zip(trees, names)), observer, reference, unit, tolerance_mm)
         if directory is not None:
             write_report(comparison, directory, origin, against)
     announce(comparison, directory, json_file)
@@ -100,9 +109,10 @@ def _check(cast: Path, trees: Sequence[Path], reference: Path | None, selection:
 def compared(
     against: Measured | Path,
     trees: Sequence[tuple[Path, str]],
-    reference: Path | None,
-    unit: str | None,
     observer: Observer | None,
+    reference: Path | None = None,
+    unit: str | None = None,
+    tolerance_mm: float | None = None,
 ) -> Comparison:
     """The comparison of a measured cast, or of a published table, with tree files that go by the names beside them."""
     from vascval.comparison import compare as run
@@ -112,6 +122,7 @@ def compared(
         read_reference_table(against) if isinstance(against, Path) else against.analysis,
         [sources.measure(path, name, Selection(), unit, observer).analysis for path, name in trees],
         reference=None if reference is None else read_reference_table(reference),
+        tolerance_mm=tolerance_mm,
         observer=observer,
     )
 

@@ -58,7 +58,7 @@ def demo(directory: Path, json_file: str | None) -> None:
         write_volume(rasterize(_tree(jitter=0.0), voxel_mm=VOXEL_MM), cast)
         write_vtp(_tree(jitter=0.1), tree)
         against = sources.measure(cast, cast.name, Selection(), None, observer)
-        comparison = compared(against, [(tree, tree.name)], None, None, observer)
+        comparison = compared(against, [(tree, tree.name)], observer)
         origin = provenance(command="demo", config={"voxel_mm": VOXEL_MM}, seed=None, inputs=[cast, tree])
         write_report(comparison, work, origin, against)
     announce(comparison, directory, json_file)
