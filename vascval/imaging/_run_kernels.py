@@ -139,7 +139,7 @@ def touches_border(label, row_offset, start, stop, nx, ny, nz):
 
 @njit
 def merge_runs(row_offset, start, stop, more_offset, more_start, more_stop):
-    """Union of two sets of disjoint runs, adjacent ones joined."""
+    """Union of two sets of runs, adjacent and overlapping ones joined."""
     n_rows = row_offset.size - 1
     offset = np.zeros(n_rows + 1, np.int64)
     begin = np.empty(start.size + more_start.size, np.int32)
@@ -155,8 +155,8 @@ def merge_runs(row_offset, start, stop, more_offset, more_start, more_stop):
             else:
                 s, e = more_start[b], more_stop[b]
                 b += 1
-            if n > first and end[n - 1] == s:
-                end[n - 1] = e
+            if n > first and end[n - 1] >= s:
+                end[n - 1] = max(end[n - 1], e)
             else:
                 begin[n] = s
                 end[n] = e

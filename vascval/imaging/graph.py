@@ -13,7 +13,7 @@ from vascval.imaging.voxels import Voxels
 
 
 @dataclass(frozen=True, eq=False)
-class Skeleton:
+class SkeletonGraph:
     """Skeleton voxels joined to one tree.
 
     * ``voxel`` (k,): index of each skeleton point into the list of foreground voxels.
@@ -47,7 +47,7 @@ class Branches:
         return self.point[self.offset[branch] : self.offset[branch + 1]]
 
 
-def spanning_skeleton(voxels: Voxels, left: np.ndarray, thickness_mm: np.ndarray) -> Skeleton:
+def spanning_skeleton(voxels: Voxels, left: np.ndarray, thickness_mm: np.ndarray) -> SkeletonGraph:
     """Join the voxels that thinning left to a tree that keeps the thickest connections.
 
     The maximum spanning tree by the thickness of the thinner of two neighbours opens every loop at its thinnest place,
@@ -72,10 +72,10 @@ def spanning_skeleton(voxels: Voxels, left: np.ndarray, thickness_mm: np.ndarray
     rank = np.argsort(weight, kind="stable")
     loops = rank[kernels.independent_loops(voxel.size, a[rank], b[rank], kept[rank])]
     ends = np.stack((a, b), axis=1)
-    return Skeleton(voxel, ends[kept], ends[loops])
+    return SkeletonGraph(voxel, ends[kept], ends[loops])
 
 
-def rooted(skeleton: Skeleton, root: int) -> tuple[np.ndarray, np.ndarray]:
+def rooted(skeleton: SkeletonGraph, root: int) -> tuple[np.ndarray, np.ndarray]:
     """Breadth-first order of the skeleton points from a root, and the parent of each (-1 at the root)."""
     n = skeleton.voxel.size
     ends = skeleton.edges
@@ -114,7 +114,7 @@ def branches(order: np.ndarray, parent: np.ndarray, ends: np.ndarray) -> Branche
     return Branches(np.asarray(parents, dtype=np.int32), point.astype(np.int32), offset)
 
 
-def thickest_end(skeleton: Skeleton, ends: np.ndarray, thickness_mm: np.ndarray) -> int:
+def thickest_end(skeleton: SkeletonGraph, ends: np.ndarray, thickness_mm: np.ndarray) -> int:
     """The end point whose branch is the thickest: where the vessel enters.
 
     The thickness of an end's branch is the median of the distance map between the end and the next junction, the last
@@ -135,3 +135,66 @@ def thickest_end(skeleton: Skeleton, ends: np.ndarray, thickness_mm: np.ndarray)
         if thickness > best_thickness:
             best, best_thickness = end, thickness
     return best
+
+
+PINHOLE_RADII = 3 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Loops:
+    """``cuts`` (c, 2): the pairs of skeleton points at which a loop of vessels was opened; ``n_pinholes``: loops too
+    small to be one; ``stub`` (u,): skeleton points at cuts that end a vessel of their own."""
+
+    cuts: np.ndarray
+    n_pinholes: int
+    stub: np.ndarray
+
+
+def judge_loops(
+    skeleton: SkeletonGraph, parent: np.ndarray, ends: np.ndarray, position_mm: np.ndarray, thickness_mm: np.ndarray
+) -> Loops:
+    """Tell loops of vessels from pinholes, and find what is left of a loop's arms.
+
+    A loop whose length is at most ``PINHOLE_RADII`` = 3 pi times the largest distance value on it goes round a hole
+    narrower than half its vessel's radius: voxels that fail to meet in a crotch, or a pit through a wall. It is opened
+    without being a finding. The arms of a true loop end at the cut; an arm that reaches farther from the tree than its
+    junction is thick stays as a branch, a lesser one is dropped.
+
+    :param parent: (k,) parent of each skeleton point.
+    :param ends: tips of vessels among the skeleton points.
+    :param position_mm: (k, 3); ``thickness_mm`` (k,) distance map at the skeleton points.
+    """
+    kept = kernels.mark_paths(parent, ends.astype(np.int32))
+    loops, stub, n_pinholes = [], [], 0
+    for u, v in skeleton.cuts.tolist():
+        arms = _arms(parent, u, v)
+        path = np.array(arms[0] + arms[1][-2::-1])
+        closed = np.concatenate((path, path[:1]))
+        length = float(np.sqrt((np.diff(position_mm[closed], axis=0) ** 2).sum(axis=1)).sum())
+        if length <= PINHOLE_RADII * float(thickness_mm[path].max()):
+            n_pinholes += 1
+            continue
+        loops.append((u, v))
+        for end in (u, v):
+            way, at = 0.0, end
+            while not kept[at] and parent[at] >= 0:
+                way += float(np.linalg.norm(position_mm[at] - position_mm[parent[at]]))
+                at = int(parent[at])
+            if way > thickness_mm[at] + thickness_mm[end]:
+                stub.append(end)
+    return Loops(np.array(loops, dtype=np.int64).reshape(-1, 2), n_pinholes, np.unique(np.array(stub, dtype=np.int64)))
+
+
+def _arms(parent: np.ndarray, u: int, v: int) -> tuple[list[int], list[int]]:
+    """The ways from two points to their first common ancestor, that ancestor included in both."""
+    above, at = {u}, u
+    while parent[at] >= 0:
+        at = int(parent[at])
+        above.add(at)
+    right = [v]
+    while right[-1] not in above:
+        right.append(int(parent[right[-1]]))
+    left = [u]
+    while left[-1] != right[-1]:
+        left.append(int(parent[left[-1]]))
+    return left, right

@@ -31,10 +31,10 @@ class Runs:
     def n_voxels(self) -> int:
         return int((self.stop.astype(np.int64) - self.start).sum())
 
-    def slabs(self) -> Iterator[np.ndarray]:
-        """The mask again, one boolean (ny, nx) slab after another."""
+    def slabs(self, begin: int = 0, end: int | None = None) -> Iterator[np.ndarray]:
+        """The mask again, one boolean (ny, nx) slab after another, of the slices ``begin`` to ``end``."""
         nz, ny, nx = self.shape
-        for z in range(nz):
+        for z in range(begin, nz if end is None else end):
             slab = np.zeros((ny, nx), dtype=bool)
             for y in range(ny):
                 row = z * ny + y
@@ -100,5 +100,23 @@ def fill_cavities(runs: Runs) -> tuple[Runs, int, int]:
     if open_to_border.all():
         return runs, 0, 0
     holes = keep(Runs(runs.shape, offset, start, stop), ~open_to_border)
-    merged = kernels.merge_runs(runs.row_offset, runs.start, runs.stop, holes.row_offset, holes.start, holes.stop)
-    return Runs(runs.shape, *merged), int(np.unique(label[~open_to_border]).size), holes.n_voxels
+    return union(runs, holes), int(np.unique(label[~open_to_border]).size), holes.n_voxels
+
+
+def from_voxels(shape: tuple[int, int, int], index_xyz: np.ndarray) -> Runs:
+    """Runs of single voxels at the given (k, 3) indices; repeated ones count once, those outside are left out."""
+    nz, ny, nx = shape
+    x, y, z = np.asarray(index_xyz, dtype=np.int64).T
+    inside = (x >= 0) & (x < nx) & (y >= 0) & (y < ny) & (z >= 0) & (z < nz)
+    key = np.unique(((z * ny + y) * nx + x)[inside])
+    count = np.bincount(key // nx, minlength=nz * ny)
+    start = (key % nx).astype(np.int32)
+    return Runs(shape, np.concatenate(([0], np.cumsum(count))), start, start + np.int32(1))
+
+
+def union(runs: Runs, more: Runs) -> Runs:
+    """The voxels of either."""
+    return Runs(
+        runs.shape,
+        *kernels.merge_runs(runs.row_offset, runs.start, runs.stop, more.row_offset, more.start, more.stop),
+    )

@@ -41,7 +41,7 @@ def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     order = np.argsort(-way, kind="stable")
     tip, saddle, widest = kernels.maxima(order, way, thickness_mm, *walk)
     persistence = np.where(saddle < 0, np.inf, way[tip] - way[saddle])
-    voxel_mm = float(spacing.max())
+    voxel_mm = float(np.cbrt(np.prod(spacing)))
     salient = persistence > SALIENCE_RADII * widest + SALIENCE_VOXELS * voxel_mm
     noticed = ~salient & (persistence > NOTICE_VOXELS * voxel_mm)
     by_way = np.argsort(-way[tip[salient]], kind="stable")

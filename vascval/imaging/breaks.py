@@ -1,0 +1,98 @@
+"""Breaks: fragments that a rough or thin wall has torn off a vessel are joined to it again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from vascval.imaging.distance import distance_map
+from vascval.imaging.runs import Components, Runs, from_voxels, keep, union
+from vascval.imaging.voxels import Voxels, from_runs
+
+MIN_VOXELS = 27
+MAX_FRAGMENTS = 2000
+MAX_ANGLE_DEG = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """``runs``: the body with the fragments that belong to it. ``breaks_xyz`` (k, 3): where they were joined, in voxels.
+
+    ``n_fragments`` and ``n_voxels_left``: how many components, and voxels in them, were left out.
+    """
+
+    runs: Runs
+    breaks_xyz: np.ndarray
+    n_fragments: int
+    n_voxels_left: int
+
+
+def join_breaks(runs: Runs, parts: Components, spacing_mm: np.ndarray) -> Joined:
+    """The largest component, with the fragments that continue it across a break.
+
+    A fragment of at least ``MIN_VOXELS`` voxels belongs to the body when its end faces it across a gap shorter than the
+    fragment is thick (the rule by which junctions are one junction, too): the way to the nearest voxel of the body
+    leaves the fragment within ``MAX_ANGLE_DEG`` of its long axis and beyond its middle. The gap is closed by a thread of
+    voxels. Fragments may continue other fragments. What lies beside a vessel, however near, is not joined.
+    """
+    n_left = parts.size_voxels.size - 1
+    candidates = np.flatnonzero(parts.size_voxels[1:] >= MIN_VOXELS)[:MAX_FRAGMENTS] + 1
+    body = keep(runs, parts.label == 0)
+    if candidates.size == 0:
+        return Joined(body, np.empty((0, 3)), n_left, int(parts.size_voxels[1:].sum()))
+    fragments = {int(k): _Fragment(from_runs(keep(runs, parts.label == k), spacing_mm)) for k in candidates}
+    trees = [cKDTree(from_runs(body, spacing_mm).index_xyz() * spacing_mm)]
+    chosen, threads = [0], []
+    fresh = trees
+    while fresh and fragments:
+        found = {k: gap for k, fragment in fragments.items() if (gap := fragment.gap_to(fresh)) is not None}
+        fresh = []
+        for k, (near, far) in found.items():
+            threads.append((near, far))
+            chosen.append(k)
+            fresh.append(cKDTree(fragments.pop(k).point))
+    whole = keep(runs, np.isin(parts.label, chosen))
+    if threads:
+        line = np.concatenate([_thread(near / spacing_mm, far / spacing_mm) for near, far in threads])
+        whole = union(whole, from_voxels(runs.shape, line))
+    middle = np.array([(near + far) / 2 / spacing_mm for near, far in threads]).reshape(-1, 3)
+    left = int(parts.size_voxels.sum() - parts.size_voxels[chosen].sum())
+    return Joined(whole, middle, n_left + 1 - len(chosen), left)
+
+
+class _Fragment:
+    """A component with its long axis and thickness."""
+
+    def __init__(self, voxels: Voxels) -> None:
+        self.point = voxels.index_xyz() * voxels.spacing_mm
+        self.centre = self.point.mean(axis=0)
+        spread = np.linalg.eigh(np.cov((self.point - self.centre).T))
+        self.axis = spread.eigenvectors[:, -1]
+        self.half_voxel = float(voxels.spacing_mm.mean()) / 2
+        self.thickness = 2 * float(distance_map(voxels).max()) - 2 * self.half_voxel
+
+    def gap_to(self, bodies: list[cKDTree]) -> tuple[np.ndarray, np.ndarray] | None:
+        """The two voxels between which the fragment continues one of the bodies, if it does."""
+        for body in bodies:
+            distance, index = body.query(self.point, distance_upper_bound=self.thickness + 2 * self.half_voxel)
+            k = int(np.argmin(distance))
+            if not np.isfinite(distance[k]):
+                continue
+            near, far = self.point[k], body.data[index[k]]
+            gap = far - near
+            along = float(gap @ self.axis)
+            outward = float((near - self.centre) @ self.axis)
+            ahead = abs(along) >= np.cos(np.radians(MAX_ANGLE_DEG)) * float(np.linalg.norm(gap))
+            if ahead and along * outward > 0:
+                return near, far
+        return None
+
+
+def _thread(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """(k, 3) voxels within one voxel of a straight line between two voxels, ends included."""
+    n = int(np.ceil(np.abs(end - start).max())) * 2 + 1
+    line = np.rint(start + np.linspace(0, 1, n)[:, None] * (end - start)).astype(np.int64)
+    cross = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+    return (line[:, None, :] + cross[None]).reshape(-1, 3)
