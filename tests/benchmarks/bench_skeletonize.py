@@ -28,7 +28,7 @@ from vascval.core.tree import Topology, Tree
 from vascval.imaging.rasterize import rasterize
 from vascval.io.volumes import Volume, read_volume, write_volume
 
-NEEDS = {"vascval": "vascval.imaging.skeletonize", "skan": "skan"}
+NEEDS = {"vascval": "vascval.imaging", "skan": "skan"}
 ROOT = Path(__file__).parents[2]
 
 
@@ -105,7 +105,7 @@ def skeletonise(tool: str, volume: Volume, root_mm: np.ndarray | None) -> tuple[
         from tests.benchmarks.rivals import skan_tree
 
         return skan_tree(volume, volume.origin_mm if root_mm is None else root_mm)
-    from vascval.imaging.skeletonize import skeletonize
+    from vascval.imaging import skeletonize
 
     found = skeletonize(volume, root_mm=root_mm)
     return found.tree, dict(found.image)
