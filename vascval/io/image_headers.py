@@ -6,6 +6,7 @@ that a header claims must be held against the memory allowed and the bytes there
 
 from __future__ import annotations
 
+import gzip
 import math
 import os
 import re
@@ -16,6 +17,7 @@ from pathlib import Path
 
 from vascval.core.errors import InputError
 from vascval.core.units import MM_PER
+from vascval.io import tiff_headers
 
 _HEADER_BYTES = 1 << 20
 _MAX_FILES = 100_000
@@ -46,8 +48,10 @@ def read_header(path: Path) -> Header:
         raise InputError(f"{path}: the file is empty; check how it was written")
     if head.startswith(b"NRRD"):
         return _nrrd(path, head)
-    if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-        return Header("TIFF", "TIFFImageIO", has_spacing=False)
+    if head[:4] in tiff_headers.MAGIC:
+        pages = tiff_headers.read_pages(path)
+        sizes = (pages.width, pages.height, pages.count)
+        return Header("TIFF", "TIFFImageIO", sizes, itemsize=max(pages.bits // 8, 1), has_spacing=False)
     if _META_LINE.match(head) and b"ElementDataFile" in head:
         return _meta_image(path, head)
     raw = _unzipped(head) if head[:2] == b"\x1f\x8b" else head
@@ -118,13 +122,12 @@ def _nrrd(path: Path, head: bytes) -> Header:
         files = [_confined(path, name) for name in names or _numbered(path, fields["datafile"])]
     if fields.get("encoding", "").lower() == "raw" and fields.get("byteskip", "0") in ("0", "-1"):
         _require_bytes(path, files, math.prod(sizes) * itemsize, 0 if "datafile" in fields else data_at)
-    spacings = fields.get("spacings", "nan") + fields.get("spacedirections", "")
     return Header(
         "NRRD",
         "NrrdImageIO",
         sizes=sizes,
         itemsize=itemsize,
-        has_spacing=bool(re.search(r"\d", spacings)),
+        has_spacing=_nrrd_spacing(path, fields),
         mm_per_unit=_nrrd_unit(path, fields.get("spaceunits", fields.get("units", ""))),
         texts=texts,
     )
@@ -135,6 +138,21 @@ def _nrrd_lines(head: bytes) -> tuple[list[str], int]:
     end = re.search(rb"\r?\n\r?\n", head)
     text = head[: end.start()] if end else head
     return text.decode("utf-8", "replace").splitlines(), end.end() if end else len(head)
+
+
+def _nrrd_spacing(path: Path, fields: dict[str, str]) -> bool:
+    """Whether there is a spacing. Axes without one (``nan``, ``none``) are those of no space, such as channels."""
+    vectors = re.findall(r"\(([^)]*)\)|(none)", fields.get("spacedirections", ""))
+    words = fields.get("spacings", "").split()
+    try:
+        steps = [math.hypot(*(float(word) for word in vector.split(","))) for vector, none in vectors if not none]
+        steps += [float(word) for word in words]
+    except ValueError:
+        raise InputError(f"{path}: the spacing is no list of numbers; the header is damaged") from None
+    known = [step for step in steps if not math.isnan(step)]
+    if any(not math.isfinite(step) or step <= 0 for step in known) or 0 < len(known) < 3 <= len(steps):
+        raise InputError(f"{path}: the spacing {steps} is absurd; correct the header")
+    return bool(known)
 
 
 def _nrrd_unit(path: Path, units: str) -> float:
@@ -212,6 +230,8 @@ def _nifti(path: Path, raw: bytes, endian: str) -> Header:
     if not path.name.lower().endswith(".gz"):
         start = struct.unpack_from(endian + ("f" if size == 348 else "q"), raw, 108 if size == 348 else 168)[0]
         _require_bytes(path, [path], math.prod(sizes) * bits // 8, int(start) if math.isfinite(start) else 0)
+    elif not _whole_gzip(path, math.prod(sizes) * bits // 8):
+        raise InputError(f"{path}: its compressed data end early; it is truncated, get it again")
     return Header("NIfTI", "NiftiImageIO", sizes=sizes, itemsize=max(bits // 8, 1))
 
 
@@ -220,6 +240,26 @@ def _unzipped(head: bytes) -> bytes:
         return zlib.decompressobj(wbits=zlib.MAX_WBITS | 16).decompress(head, 1024)
     except zlib.error:
         return b""
+
+
+def _whole_gzip(path: Path, at_least: int) -> bool:
+    """Whether compressed data are complete, which the library does not tell.
+
+    The last four bytes of a complete file of one member hold the size (mod 2^32) of what was packed, and the header
+    takes less than 64 KiB; only where they do not fit is the file unpacked to see.
+    """
+    with path.open("rb") as stream:
+        stream.seek(-4, os.SEEK_END)
+        if (struct.unpack("<I", stream.read(4))[0] - at_least) % 2**32 < 1 << 16:
+            return True
+    there = 0
+    try:
+        with gzip.open(path) as stream:
+            while block := stream.read(1 << 20):
+                there += len(block)
+    except (OSError, EOFError, zlib.error):
+        return False
+    return there >= at_least
 
 
 # --- shared -------------------------------------------------------------------------------------------------------

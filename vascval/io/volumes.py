@@ -12,7 +12,8 @@ import os
 import re
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from vascval.core.errors import InputError
+from vascval.io import itk
 from vascval.io.atomic import atomic_file
 from vascval.io.image_headers import Header, read_header
 
@@ -122,17 +124,19 @@ def read_volume(
         raise InputError(f"the spacing {given.tolist()} is not three numbers; give X,Y,Z in mm")
     files = slices_of(path) if path.is_dir() else [path]
     header = read_header(files[0])
+    if path.is_dir():
+        header = _stack_header(path, files, header)
     if not header.has_spacing and given is None:
         raise InputError(f"{path}: {header.kind} gives no spacing in three dimensions; use --spacing X,Y,Z (mm)")
-    _require_memory(path, header.sizes, header.itemsize, allowed)
-    image, notes = _read_image(path, files, header, allowed)
+    _require_memory(path, allowed, header.sizes, header.itemsize)
+    image, notes = itk.read_image(path, files, header, partial(_require_memory, path, allowed))
     if given is not None and header.has_spacing:
         notes.append(f"spacing given as {given.tolist()} mm, the file says {list(image.GetSpacing())}")
     scale = header.mm_per_unit
     meta = {**_stored_meta(header), "source": path.name, "format": header.kind, "notes": notes}
     try:
         volume = Volume(
-            values=_values(image),
+            values=itk.values(image),
             spacing_mm=np.array(image.GetSpacing()) * scale if given is None else given,
             origin_mm=np.array(image.GetOrigin()) * scale,
             direction=np.array(image.GetDirection()).reshape(3, 3),
@@ -168,83 +172,23 @@ def slices_of(folder: Path) -> list[Path]:
     return [numbers[i][0] for i in sorted(numbers)]
 
 
-def _require_memory(path: Path, sizes: Sequence[int], itemsize: int, allowed: int) -> None:
+def _stack_header(folder: Path, files: list[Path], first: Header) -> Header:
+    """The header of a stack of slices, all of which must be alike."""
+    for file in files:
+        other = read_header(file)
+        if other.kind != "TIFF" or other.sizes != first.sizes or other.itemsize != first.itemsize:
+            size = " x ".join(map(str, other.sizes[:2]))
+            raise InputError(f"{folder}: slice {file.name} has {size} pixels of another kind; take it out or mend it")
+    return replace(first, sizes=(*first.sizes[:2], first.sizes[2] * len(files)))
+
+
+def _require_memory(path: Path, allowed: int, sizes: Sequence[int], itemsize: int) -> None:
     needed = math.prod(sizes) * itemsize
     if needed > allowed:
         raise InputError(
             f"{path}: {' x '.join(map(str, sizes))} voxels need {needed / _GIB:.3g} GiB, {allowed / _GIB:.3g} GiB are "
             "allowed; crop or downsample it, or allow more (--max-memory)"
         )
-
-
-def _read_image(path: Path, files: list[Path], header: Header, allowed: int) -> tuple[Any, list[str]]:
-    """The SimpleITK image, checked before it is read, and notes on what was taken as given."""
-    import SimpleITK as sitk
-
-    sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    reader = sitk.ImageFileReader()
-    reader.SetImageIO(header.reader)
-    reader.SetFileName(str(files[0]))
-    try:
-        reader.ReadImageInformation()
-        size = list(reader.GetSize())
-        notes = _check_shape(path, size, len(files) > 1 or path.is_dir(), reader.GetNumberOfComponents())
-        pixel = reader.GetPixelID()
-        itemsize = _itemsize(path, sitk, pixel)
-        full = [*size[:2], len(files)] if path.is_dir() else size
-        _require_memory(path, full, itemsize, allowed)
-        if path.is_dir():
-            series = sitk.ImageSeriesReader()
-            series.SetImageIO(header.reader)
-            series.SetFileNames([str(file) for file in files])
-            return series.Execute(), notes
-        if len(size) > 3:
-            reader.SetExtractSize(size[:3] + [0] * (len(size) - 3))
-        return reader.Execute(), notes
-    except (RuntimeError, MemoryError) as error:
-        raise InputError(f"{path}: {_reason(error, header.kind)}") from error
-
-
-def _check_shape(path: Path, size: list[int], is_slice: bool, components: int) -> list[str]:
-    shape = " x ".join(map(str, size))
-    if components != 1:
-        raise InputError(f"{path}: has {components} values per voxel; one is needed, take one channel of it")
-    extra = [n for n in size[2:] if n != 1] if is_slice else [n for n in size[3:] if n != 1]
-    if extra:
-        need = "slices have two axes" if is_slice else "three axes are needed, take one frame of it"
-        raise InputError(f"{path}: is an image of {shape} voxels; {need}")
-    if not is_slice and (len(size) < 3 or 1 in size[:3]):
-        raise InputError(f"{path}: is a flat image of {shape} voxels; a volume with three axes is needed")
-    return [f"trailing axes of size 1 dropped from {shape}"] if not is_slice and len(size) > 3 else []
-
-
-def _itemsize(path: Path, sitk: Any, pixel: int) -> int:
-    one = sitk.Image([1, 1, 1], pixel) if "complex" not in sitk.GetPixelIDValueAsString(pixel) else None
-    if one is None:
-        raise InputError(f"{path}: has complex values; real ones are needed, take the magnitude")
-    return one.GetSizeOfPixelComponent()
-
-
-def _reason(error: BaseException, kind: str) -> str:
-    if isinstance(error, MemoryError) or "allocat" in str(error).lower():
-        return "does not fit into memory; crop or downsample it"
-    said = [line.strip() for line in str(error).splitlines() if line.strip()]
-    last = re.sub(r"^.*(ERROR|Exception)[^:]*:\s*", "", said[-1]) if said else "no reason given"
-    return f"cannot be read as {kind} ({last.rstrip('.')[:160]}); it is truncated or damaged, get it again"
-
-
-class _Pixels:
-    """Pixels of an image for NumPy: the array made from it keeps the image alive, so that nothing is copied."""
-
-    def __init__(self, image: Any) -> None:
-        import SimpleITK as sitk
-
-        self.image = image
-        self.__array_interface__ = sitk.GetArrayViewFromImage(image).__array_interface__
-
-
-def _values(image: Any) -> np.ndarray:
-    return np.asarray(_Pixels(image))
 
 
 def _require_finite(path: Path, values: np.ndarray) -> None:
@@ -282,7 +226,8 @@ def write_volume(volume: Volume, path: Path | str) -> None:
             _write_nrrd(volume, aside)
     elif name.endswith((".nii", ".nii.gz", ".mha")):
         with atomic_file(path) as aside:
-            _write_with_itk(volume, aside)
+            texts = {_META_KEY: _meta_text(volume)} if name.endswith(".mha") else {}
+            itk.write_image(aside, volume.values, volume.spacing_mm, volume.origin_mm, volume.direction, texts)
     else:
         raise InputError(f"{path}: volumes are written as .nrrd, .nii, .nii.gz or .mha; choose one of these")
 
@@ -299,7 +244,7 @@ def _write_nrrd(volume: Volume, path: Path) -> None:
     if code not in _NRRD_TYPES:
         raise InputError(f"{path}: values of type {volume.values.dtype} have no place in NRRD; convert them to numbers")
     axes = " ".join(_vector(volume.direction[:, i] * volume.spacing_mm[i]) for i in range(3))
-    meta = json.dumps(dict(volume.meta), sort_keys=True).replace("\\", "\\\\")
+    meta = _meta_text(volume).replace("\\", "\\\\")
     lines = [
         "NRRD0005",
         f"type: {_NRRD_TYPES[code]}",
@@ -327,19 +272,5 @@ def _vector(values: np.ndarray) -> str:
     return "(" + ",".join(repr(float(value)) for value in values) + ")"
 
 
-def _write_with_itk(volume: Volume, path: Path) -> None:
-    import SimpleITK as sitk
-
-    sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    values = volume.values.view(np.uint8) if volume.values.dtype == bool else volume.values
-    image = sitk.GetImageFromArray(values)
-    image.SetSpacing(volume.spacing_mm.tolist())
-    image.SetOrigin(volume.origin_mm.tolist())
-    image.SetDirection(volume.direction.ravel().tolist())
-    meta = json.dumps(dict(volume.meta), sort_keys=True)
-    if path.name.lower().endswith(".mha") and len(meta) < 4000:  # longer lines overflow what MetaImage readers hold
-        image.SetMetaData(_META_KEY, meta)
-    try:
-        sitk.WriteImage(image, str(path), useCompression=True)
-    except RuntimeError as error:
-        raise InputError(f"{path}: cannot be written ({_reason(error, 'image')})") from error
+def _meta_text(volume: Volume) -> str:
+    return json.dumps(dict(volume.meta), sort_keys=True)

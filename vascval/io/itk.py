@@ -1,0 +1,124 @@
+"""SimpleITK behind a guard: what it prints is caught, and its errors become one line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vascval.core.errors import InputError
+from vascval.io.image_headers import Header
+from vascval.io.quiet import printed
+
+_LONGEST_TEXT = 4000  # longer values overflow what readers of MetaImage headers hold
+
+
+def read_image(
+    path: Path, files: Sequence[Path], header: Header, require_memory: Callable[[Sequence[int], int], None]
+) -> tuple[Any, list[str]]:
+    """The SimpleITK image in a file, or in the slices of a folder, and notes on what was taken as given.
+
+    :param require_memory: called with the size and the bytes per value before the voxels are read; raises to refuse.
+    :raises InputError: when there are not three axes of one real value each, or the library fails or complains.
+    """
+    import SimpleITK as sitk
+
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    reader = sitk.ImageFileReader()
+    reader.SetImageIO(header.reader)
+    reader.SetFileName(str(files[0]))
+    is_stack = path.is_dir()
+    with printed() as complaint:
+        try:
+            reader.ReadImageInformation()
+            size = list(reader.GetSize())
+            notes = _check_shape(path, size, is_stack, reader.GetNumberOfComponents())
+            itemsize = _itemsize(path, sitk, reader.GetPixelID())
+            require_memory([*size[:2], len(files)] if is_stack else size, itemsize)
+            if is_stack:
+                series = sitk.ImageSeriesReader()
+                series.SetImageIO(header.reader)
+                series.SetFileNames([str(file) for file in files])
+                image = series.Execute()
+            else:
+                reader.SetExtractSize(size[:3] + [0] * (len(size) - 3))
+                image = reader.Execute()
+        except (RuntimeError, MemoryError) as error:
+            raise InputError(f"{path}: {_reason(error, header.kind)}") from error
+        if complaint():
+            raise InputError(f"{path}: cannot be read as {header.kind} ({complaint()}); it is truncated or damaged")
+    return image, notes
+
+
+def _check_shape(path: Path, size: list[int], is_stack: bool, components: int) -> list[str]:
+    shape = " x ".join(map(str, size))
+    if components != 1:
+        raise InputError(f"{path}: has {components} values per voxel; one is needed, take one channel of it")
+    if any(n != 1 for n in size[2 if is_stack else 3 :]):
+        need = "slices have two axes" if is_stack else "three axes are needed, take one frame of it"
+        raise InputError(f"{path}: is an image of {shape} voxels; {need}")
+    if not is_stack and (len(size) < 3 or 1 in size[:3]):
+        raise InputError(f"{path}: is a flat image of {shape} voxels; a volume with three axes is needed")
+    return [f"trailing axes of size 1 dropped from {shape}"] if not is_stack and len(size) > 3 else []
+
+
+def _itemsize(path: Path, sitk: Any, pixel: int) -> int:
+    if "complex" in sitk.GetPixelIDValueAsString(pixel):
+        raise InputError(f"{path}: has complex values; real ones are needed, take the magnitude")
+    return sitk.Image([1, 1, 1], pixel).GetSizeOfPixelComponent()
+
+
+def _reason(error: BaseException, kind: str) -> str:
+    if isinstance(error, MemoryError) or "allocat" in str(error).lower():
+        return "does not fit into memory; crop or downsample it"
+    said = [line.strip() for line in str(error).splitlines() if line.strip()]
+    last = re.sub(r"^.*(ERROR|Exception)[^:]*:\s*", "", said[-1]) if said else "no reason given"
+    return f"cannot be read as {kind} ({last.rstrip('.')[:160]}); it is truncated or damaged, get it again"
+
+
+class _Pixels:
+    """Pixels of an image for NumPy: the array made from it keeps the image alive, so that nothing is copied."""
+
+    def __init__(self, image: Any) -> None:
+        import SimpleITK as sitk
+
+        self.image = image
+        self.__array_interface__ = sitk.GetArrayViewFromImage(image).__array_interface__
+
+
+def values(image: Any) -> np.ndarray:
+    """The voxels (nz, ny, nx) of an image without a copy, read-only."""
+    return np.asarray(_Pixels(image))
+
+
+def write_image(
+    path: Path,
+    values: np.ndarray,
+    spacing_mm: np.ndarray,
+    origin_mm: np.ndarray,
+    direction: np.ndarray,
+    texts: Mapping[str, str],
+) -> None:
+    """Voxels (nz, ny, nx) with their frame, compressed where the format knows how; texts as far as they fit.
+
+    :raises InputError: when the library cannot write them.
+    """
+    import SimpleITK as sitk
+
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    try:
+        image = sitk.GetImageFromArray(values.view(np.uint8) if values.dtype == bool else values)
+        image.SetSpacing(spacing_mm.tolist())
+        image.SetOrigin(origin_mm.tolist())
+        image.SetDirection(direction.ravel().tolist())
+        for name, text in texts.items():
+            if len(text) < _LONGEST_TEXT:
+                image.SetMetaData(name, text)
+        with printed():
+            sitk.WriteImage(image, str(path), useCompression=True)
+    except (RuntimeError, TypeError, KeyError) as error:
+        said = str(error).strip().splitlines() or ["no reason given"]
+        raise InputError(f"{path.name}: cannot be written ({said[-1][:160]}); choose another type or place") from error

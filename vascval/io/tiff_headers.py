@@ -1,0 +1,107 @@
+"""The directories of a TIFF file: page sizes, and whether all of its data are there.
+
+The library that reads TIFF fills pages which are missing with zeros and says nothing; so they are looked for here.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from vascval.core.errors import InputError
+
+MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_MAX_PAGES = 200_000
+_WIDTH, _HEIGHT, _BITS = 256, 257, 258
+_PLACES = ((273, 279), (324, 325))  # offsets and byte counts of strips, of tiles
+_CODES = {1: "B", 3: "H", 4: "I", 16: "Q"}
+
+
+@dataclass(frozen=True)
+class Pages:
+    """``width``, ``height`` and ``bits`` per value of all pages, and how many there are."""
+
+    width: int
+    height: int
+    bits: int
+    count: int
+
+
+def read_pages(path: Path) -> Pages:
+    """What the directories of a TIFF file (classic or big) say.
+
+    :raises InputError: when pages differ in size, or directories or data lie beyond the end of the file.
+    """
+    sizes: list[tuple[int, int, int]] = []
+    try:
+        with path.open("rb") as stream:
+            reader = _Reader(stream)
+            at, seen = reader.first(), set()
+            while at and len(sizes) < _MAX_PAGES:
+                if at in seen:
+                    raise InputError(f"{path}: its TIFF directories form a cycle; the file is damaged")
+                seen.add(at)
+                tags, at = reader.directory(at)
+                sizes.append((tags.get(_WIDTH, [0])[0], tags.get(_HEIGHT, [0])[0], tags.get(_BITS, [1])[0]))
+                for offsets, counts in _PLACES:
+                    ends = [a + n for a, n in zip(tags.get(offsets, []), tags.get(counts, []))]
+                    if ends and max(ends) > reader.size:
+                        raise _Missing
+    except (_Missing, struct.error, OSError):
+        what = f"page {len(sizes)} of the TIFF is not all there"
+        raise InputError(f"{path}: {what}; it is truncated, get it again") from None
+    if not sizes or min(sizes[0]) < 1:
+        raise InputError(f"{path}: the TIFF has no page with a size; the file is damaged")
+    other = next((i for i, size in enumerate(sizes) if size != sizes[0]), None)
+    if other is not None:
+        raise InputError(f"{path}: page {other} of the TIFF differs from page 0 in size or type; separate them")
+    return Pages(*sizes[0], len(sizes))
+
+
+class _Missing(Exception):
+    """Something lies beyond the end of the file."""
+
+
+class _Reader:
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self.size = os.fstat(stream.fileno()).st_size
+        magic = stream.read(4)
+        self._endian = "<" if magic[:2] == b"II" else ">"
+        self._big = b"+" in magic
+
+    def first(self) -> int:
+        return self._number("Q", 8) if self._big else self._number("I", 4)
+
+    def directory(self, at: int) -> tuple[dict[int, Sequence[int]], int]:
+        """The tags of a page that are of interest, and where the next directory is."""
+        count_code, entry_code, value_code = ("Q", "HHQ8s", "Q") if self._big else ("H", "HHI4s", "I")
+        count = self._number(count_code, at)
+        start = at + struct.calcsize("=" + count_code)
+        entry_size = struct.calcsize("=" + entry_code)
+        if count > 65535:
+            raise _Missing
+        raw = self._bytes(start, count * entry_size)
+        wanted = {_WIDTH, _HEIGHT, _BITS, *(tag for pair in _PLACES for tag in pair)}
+        tags: dict[int, Sequence[int]] = {}
+        for tag, kind, n, value in struct.iter_unpack(self._endian + entry_code, raw):
+            if tag in wanted and kind in _CODES and n > 0:
+                code = f"{self._endian}{n}{_CODES[kind]}"
+                size = n * struct.calcsize("=" + _CODES[kind])
+                if size > len(value):
+                    value = self._bytes(struct.unpack(self._endian + value_code, value)[0], size)
+                tags[tag] = struct.unpack(code, value[:size])
+        return tags, self._number(value_code, start + count * entry_size)
+
+    def _number(self, code: str, at: int) -> int:
+        return struct.unpack(self._endian + code, self._bytes(at, struct.calcsize("=" + code)))[0]
+
+    def _bytes(self, at: int, count: int) -> bytes:
+        if at + count > self.size:
+            raise _Missing
+        self._stream.seek(at)
+        return self._stream.read(count)
