@@ -165,6 +165,8 @@ class SkeletonizeDocument(Document):
     """Output of ``vascval skeletonize --json``."""
 
     source: str = _f("the volume")
+    n_terminals: int = _f("segments that end without children")
+    n_segments: int = _f("segments")
     image: Image
 
 
