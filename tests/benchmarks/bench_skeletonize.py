@@ -143,6 +143,8 @@ HEADER = (
 
 def _row(kind: str, seed: int, tool: str, run: Run, s: Score) -> str:
     three = f"{s.trifurcations_found:.0%} of {s.n_trifurcations}" if s.n_trifurcations else "none"
+    image = run.image
+    stages = f" (thinning + graph {image['thinning_s'] + image['graph_s']:.2f} s)" if "thinning_s" in image else ""
     elements = "equal" if s.elements_equal else f"{s.elements_found} for {s.elements_true}"
     cells = (
         *(kind, seed, tool, f"{s.tips_found:.1%}", f"{s.tips_false:.1%}", s.n_loops),
@@ -152,7 +154,7 @@ def _row(kind: str, seed: int, tool: str, run: Run, s: Score) -> str:
         f"{s.junctions_found:.1%} / {s.n_junctions_false}",
         f"{three} / {s.n_trifurcations_false}",
         f"{elements} ({s.elements_deviation:.1%})",
-        *(f"{run.wall_s:.2f} s", f"{run.cpu_s:.2f} s", f"{run.peak_memory_mib:.0f} MiB"),
+        *(f"{run.wall_s:.2f} s{stages}", f"{run.cpu_s:.2f} s", f"{run.peak_memory_mib:.0f} MiB"),
     )
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
 

@@ -135,10 +135,10 @@ def _without_pairs(branches: list[Branch], root: int) -> list[Branch]:
     for branch in branches:
         for node in branch.ends:
             at.setdefault(node, []).append(branch)
-    for node, meeting in list(at.items()):
-        if len(meeting) != 2 or node == root:
+    for node in list(at):
+        if len(at[node]) != 2 or node == root:
             continue
-        first, second = meeting
+        first, second = at[node]
         first_on = first if first.ends[1] == node else first.reversed()
         joined = first_on.joined(second if second.ends[0] == node else second.reversed())
         for end, old in ((joined.ends[0], first), (joined.ends[1], second)):
