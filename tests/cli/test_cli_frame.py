@@ -107,7 +107,7 @@ def test_memory_refused(text):
         Memory().convert(text, None, None)
 
 
-@pytest.mark.parametrize(("text", "value"), [("12.5", 12.5), ("auto", "otsu"), ("OTSU", "otsu"), ("-3", -3.0)])
+@pytest.mark.parametrize(("text", "value"), [("12.5", 12.5), ("auto", "auto"), ("OTSU", "auto"), ("-3", -3.0)])
 def test_threshold(text, value):
     assert Threshold().convert(text, None, None) == value
 

@@ -9,14 +9,18 @@ import click
 
 from vascval.cli import sources
 from vascval.cli.compare import announce, compared, write_report
-from vascval.cli.console import progress
+from vascval.cli.console import Observer, progress
 from vascval.cli.options import Selection, json_option
 
 if TYPE_CHECKING:
     from vascval.core.tree import Tree
 
 DIRECTORY = "vascval-demo"
-VOXEL_MM = 0.25
+BOX_MM = (60.0, 45.0, 30.0)
+ROOT_MM = (0.0, 22.5, 15.0)
+N_TERMINALS = 100
+VOXEL_MM = 0.2
+CAST_SEED, TREE_SEED = 1, 2
 
 
 @click.command(
@@ -44,7 +48,11 @@ and the two files that were compared, so that the same can be had by
 )
 @json_option
 def demo(directory: Path, json_file: str | None) -> None:
-    """The whole job with no input: make a tree, cast it, compare the cast with another tree."""
+    """The whole job with no input: grow a tree, cast it, compare the cast with another tree.
+
+    Two trees of 100 terminals are grown in one box, from one root, with different random numbers. The first is cast:
+    drawn into voxels. Of it nothing but that volume enters the comparison with the second.
+    """
     sources.check_directory(directory)
     sources.check_json(json_file)
     from vascval.imaging.rasterize import rasterize
@@ -53,39 +61,38 @@ def demo(directory: Path, json_file: str | None) -> None:
     from vascval.io.trees import write_vtp
     from vascval.io.volumes import write_volume
 
+    config = {"box_mm": BOX_MM, "root_mm": ROOT_MM, "n_terminals": N_TERMINALS, "voxel_mm": VOXEL_MM}
     with progress() as observer, atomic_directory(directory) as work:
         cast, tree = work / "cast.nrrd", work / "tree.vtp"
-        write_volume(rasterize(_tree(jitter=0.0), voxel_mm=VOXEL_MM), cast)
-        write_vtp(_tree(jitter=0.1), tree)
+        write_volume(rasterize(_grown(CAST_SEED, observer), voxel_mm=VOXEL_MM), cast)
+        origin = provenance(command="demo", config=config, seed=TREE_SEED, inputs=[])
+        write_vtp(_grown(TREE_SEED, observer), tree, provenance=origin)
         against = sources.measure(cast, cast.name, Selection(), None, observer)
         comparison = compared(against, [(tree, tree.name)], observer)
-        origin = provenance(command="demo", config={"voxel_mm": VOXEL_MM}, seed=None, inputs=[cast, tree])
+        origin = provenance(command="demo", config=config, seed=CAST_SEED, inputs=[cast, tree])
         write_report(comparison, work, origin, against)
     announce(comparison, directory, json_file)
 
 
-def _tree(*, jitter: float, levels: int = 6) -> Tree:
-    """A tree of ``2 ** levels`` terminals that forks in planes at right angles; ``jitter`` moves its nodes about.
-
-    Radii follow Murray's law with exponent 3, the thinner child having 0.8 of the radius of the thicker; a vessel is
-    8 radii long and its children leave at 35 and 50 degrees. Each node is displaced by a normal deviate of ``jitter``
-    vessel lengths.
-    """
+def _grown(seed: int, observer: Observer | None) -> Tree:
+    """A tree grown in the box: liver-like pressures and flow, Murray exponent 3, vessels that keep apart."""
     import numpy as np
 
-    from vascval.core.tree import Topology, Tree
+    from generator.domain import Box
+    from generator.growth.growth import Growth, GrowthOptions
+    from generator.haemodynamics import Perfusion
+    from vascval.core.units import MM3_S_PER_ML_MIN, PA_PER_MMHG, PA_S_PER_CP
 
-    random = np.random.default_rng(1)
-    parent, position, radius = [-1, 0], [np.zeros(3), np.array([0.0, 0.0, 24.0])], [3.0, 3.0]
-    frames = [np.eye(3), np.eye(3)]  # columns: the two directions across the vessel, the direction along it
-    for node in range(1, 2**levels):
-        thick = radius[node] / (1 + 0.8**3) ** (1 / 3)
-        across, normal, along = frames[node].T
-        for share, angle in ((1.0, np.deg2rad(35)), (0.8, -np.deg2rad(50))):
-            direction = np.cos(angle) * along + np.sin(angle) * across
-            parent.append(node)
-            radius.append(share * thick)
-            frames.append(np.column_stack([normal, np.cross(direction, normal), direction]))
-            step = 8 * radius[-1] * (direction + jitter * random.standard_normal(3))
-            position.append(position[node] + step)
-    return Tree(Topology(np.array(parent)), np.array(position), np.array(radius))
+    perfusion = Perfusion(12 * PA_PER_MMHG, 8 * PA_PER_MMHG, 1000 * MM3_S_PER_ML_MIN, 3.6 * PA_S_PER_CP, 3.0)
+    growth = Growth(
+        Box(np.array(BOX_MM)),
+        perfusion,
+        np.array(ROOT_MM),
+        N_TERMINALS,
+        options=GrowthOptions(apart=1.0),
+        rng=np.random.default_rng(seed),
+    )
+    for step in growth.steps():
+        if observer is not None:
+            observer(f"growing tree {seed}", step.n_terminals, step.n_target)
+    return growth.tree()

@@ -42,7 +42,7 @@ class Numbers(click.ParamType):
 
 
 class Threshold(click.ParamType):
-    """A finite grey value, or ``auto`` (the same as ``otsu``) for an automatic one."""
+    """A finite grey value, or ``auto`` (``otsu`` says the same) for an automatic one."""
 
     name = "value|auto"
 
@@ -50,7 +50,7 @@ class Threshold(click.ParamType):
         if isinstance(value, float):
             return value
         if str(value).lower() in ("auto", "otsu"):
-            return "otsu"
+            return "auto"
         try:
             number = float(value)
         except ValueError:
@@ -113,8 +113,8 @@ class Selection:
 
     label: int | None = None
     threshold: float | str | None = None
-    root_mm: tuple[float, ...] | None = None
-    spacing_mm: tuple[float, ...] | None = None
+    root_mm: tuple[float, float, float] | None = None
+    spacing_mm: tuple[float, float, float] | None = None
     max_memory_bytes: int | None = None
 
     def __post_init__(self) -> None:

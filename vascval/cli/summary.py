@@ -32,8 +32,11 @@ _GENERATIONS = {
 }
 
 _IMAGE = {
+    "selection": "selected",
     "n_components": "components in the mask",
     "largest_component_fraction": "share of the largest",
+    "n_cavities_filled": "cavities filled",
+    "n_breaks_joined": "breaks joined",
     "n_loops_cut": "loops cut",
     "n_spurs_pruned": "spurs pruned",
 }
@@ -56,7 +59,8 @@ def generations_table(document: Mapping[str, Any]) -> str:
 
 def image_table(image: Mapping[str, Any]) -> str:
     """What skeletonization did to the image."""
-    return table([[label, _number(image[key])] for key, label in _IMAGE.items()])
+    width = max(map(len, _IMAGE.values()))
+    return "\n".join(f"{label:<{width}}  {_number(image[key])}" for key, label in _IMAGE.items() if key in image)
 
 
 def comparison_tables(document: Mapping[str, Any]) -> str:
@@ -90,4 +94,6 @@ def _by_generation(names: Sequence[str], sides: Sequence[Mapping[str, Any]]) -> 
 def _number(value: object) -> str:
     if value is None:
         return "-"
+    if isinstance(value, str):
+        return value
     return f"{value:.4g}" if isinstance(value, float) and abs(value) < 1e4 else f"{value:.0f}"
