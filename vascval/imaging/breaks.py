@@ -13,12 +13,13 @@ from vascval.imaging.voxels import Voxels, from_runs
 
 MIN_VOXELS = 27
 MAX_FRAGMENTS = 2000
-MAX_ANGLE_DEG = 60.0
+MAX_ANGLE_DEG = 45.0
+MAX_GAP_DIAMETERS = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """``runs``: the body with the fragments that belong to it. ``breaks_xyz`` (k, 3): where they were joined, in voxels.
+    """``runs``: the body with the fragments that belong to it. ``breaks_xyz`` (k, 3): where they were joined (voxels).
 
     ``n_fragments`` and ``n_voxels_left``: how many components, and voxels in them, were left out.
     """
@@ -32,10 +33,10 @@ class Joined:
 def join_breaks(runs: Runs, parts: Components, spacing_mm: np.ndarray) -> Joined:
     """The largest component, with the fragments that continue it across a break.
 
-    A fragment of at least ``MIN_VOXELS`` voxels belongs to the body when its end faces it across a gap shorter than the
-    fragment is thick (the rule by which junctions are one junction, too): the way to the nearest voxel of the body
-    leaves the fragment within ``MAX_ANGLE_DEG`` of its long axis and beyond its middle. The gap is closed by a thread of
-    voxels. Fragments may continue other fragments. What lies beside a vessel, however near, is not joined.
+    A fragment of at least ``MIN_VOXELS`` voxels belongs to the body when its end faces it across a gap of at most
+    ``MAX_GAP_DIAMETERS`` times the fragment's thickness: the way to the nearest voxel of the body leaves the fragment
+    within ``MAX_ANGLE_DEG`` of its long axis and beyond its middle. The gap is closed by a thread of voxels. Fragments
+    may continue other fragments. What lies beside a vessel, however near, is not joined.
     """
     n_left = parts.size_voxels.size - 1
     candidates = np.flatnonzero(parts.size_voxels[1:] >= MIN_VOXELS)[:MAX_FRAGMENTS] + 1
@@ -76,7 +77,7 @@ class _Fragment:
     def gap_to(self, bodies: list[cKDTree]) -> tuple[np.ndarray, np.ndarray] | None:
         """The two voxels between which the fragment continues one of the bodies, if it does."""
         for body in bodies:
-            distance, index = body.query(self.point, distance_upper_bound=self.thickness + 2 * self.half_voxel)
+            distance, index = body.query(self.point, distance_upper_bound=MAX_GAP_DIAMETERS * self.thickness + 2 * self.half_voxel)
             k = int(np.argmin(distance))
             if not np.isfinite(distance[k]):
                 continue

@@ -22,6 +22,7 @@ from vascval.imaging.voxels import Voxels
 ROUNDS = 3
 SECTION_VOXELS = 1.0
 CORE = 0.6
+MIN_WINDOW = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +79,9 @@ def refine(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thickness
     centre = voxels.index_xyz(skeleton_voxel) * voxels.spacing_mm
     nodes = _Nodes(tree)
     now = _first_guess(tree, centre, thickness_mm[skeleton_voxel])
+    coarse = now.radius_mm
     for _ in range(ROUNDS):
-        now = _improve(voxels, nodes, now, _stations(voxels, now))
+        now = _improve(voxels, nodes, now, coarse, _stations(voxels, now))
     return now
 
 
@@ -132,13 +134,13 @@ def _stations(voxels: Voxels, now: Refined) -> _Stations:
     return _Stations(offset, position, tangent, arc, branch, of_voxel, along, count, total)
 
 
-def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, stations: _Stations) -> Refined:
+def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, coarse: np.ndarray, stations: _Stations) -> Refined:
     """One round: windows clear of the junctions, lines, nodes, centrelines, radii."""
     low, high = _windows(nodes, now, stations, _outward(now, stations))
     lines = _lines(nodes, now, stations, low, high)
     low, high = _windows(nodes, now, stations, _outward(now, stations, lines))
     lines = _lines(nodes, now, stations, low, high)
-    radius, sd = _radii(voxels, now, stations, low, high)
+    radius, sd = _radii(voxels, now, coarse, stations, low, high)
     node = _solve_nodes(nodes, now, lines)
     _place_tips(voxels, nodes, stations, lines, radius, low, high, node)
     width = np.maximum(radius, float(voxels.spacing_mm.min()))
@@ -168,7 +170,7 @@ def _windows(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(s,), (s,) the stretch of arc length of each branch that is clear of junctions and rounded tips.
 
-    Where a branch is too short for that, the middle two fifths are used.
+    Where a branch is too short for that, at least ``MIN_WINDOW`` of its length about the middle of what is clear.
     """
     before, after = np.zeros(nodes.n - 1), np.zeros(nodes.n - 1)
     kernels.clearance(outward, now.radius_mm, nodes.offset, nodes.branch, nodes.end, before, after)
@@ -176,7 +178,7 @@ def _windows(
     before[tip[nodes.proximal]] = now.radius_mm[tip[nodes.proximal]]
     after[tip[nodes.distal]] = now.radius_mm[tip[nodes.distal]]
     length = stations.length
-    excess = (before + after) / np.maximum(0.6 * length, 1e-300)
+    excess = (before + after) / np.maximum((1 - MIN_WINDOW) * length, 1e-300)
     shrink = np.maximum(1.0, excess)
     return before / shrink, length - after / shrink
 
@@ -255,14 +257,15 @@ def _point_at(stations: _Stations, branch: int, arc: float) -> np.ndarray:
 
 
 def _radii(
-    voxels: Voxels, now: Refined, stations: _Stations, low: np.ndarray, high: np.ndarray
+    voxels: Voxels, now: Refined, coarse: np.ndarray, stations: _Stations, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean radius of each branch over all directions and sections, and its standard deviation along the branch.
 
     With the axis as origin, ``integral of dV / rho`` over a stretch of length L is ``integral of r(theta, s) dtheta ds
     = 2 pi L <r>``: a linear functional of the mask, so that neither voxels nor roughness bias it, as they do the
     distance map (towards thin) and the square root of the area (towards thick). The singularity on the axis is
-    replaced by an equivalent core, and the ends of the stretch are tapered.
+    replaced by an equivalent core, and the ends of the stretch are tapered. A branch that shows less than one section
+    of its own (a piece inside a junction) keeps the ``coarse`` radius of the distance map.
     """
     step = SECTION_VOXELS * float(voxels.spacing_mm.min())
     cell = float(np.prod(voxels.spacing_mm))
@@ -275,7 +278,8 @@ def _radii(
         core, low, high, ramp, voxels.x, voxels.row, voxels.shape[1], voxels.spacing_mm,
     )  # fmt: skip
     radius = total * cell / (2.0 * np.pi * np.maximum(window - ramp, 1e-9))
-    radius = np.where(radius > 0, radius, now.radius_mm)
+    seen = (window - ramp > step) & (radius > 0.5 * coarse)
+    radius = np.where(seen, radius, coarse)
     pitch = stations.length / np.maximum(np.diff(stations.offset) - 1, 1)
     inside = (stations.arc >= low[stations.branch]) & (stations.arc <= high[stations.branch]) & (stations.count > 0)
     of = stations.branch[inside]

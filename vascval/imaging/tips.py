@@ -9,7 +9,7 @@ import numpy as np
 from vascval.imaging import _geodesic_kernels as kernels
 from vascval.imaging.voxels import Voxels
 
-SALIENCE_RADII = 1.5
+SALIENCE_RADII = 1.0
 SALIENCE_VOXELS = 1.5
 NOTICE_VOXELS = 1.5
 
