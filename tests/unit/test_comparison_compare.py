@@ -89,7 +89,7 @@ def test_location_tells_generations_apart():
     assert tree.segments["generation"].tolist()[:5] == [1, 1, 2, 2, 2]
     apart = compare(cast, [tree], tolerance_mm=0.05, generation_window=0).location[0]
     assert apart.generations["cast_matched_any_share"].tolist()[:2] == [1.0, 1.0]
-    # of the branch on the trunk, 11.18 mm, only the ends are within a radius, 0.1 mm, of generation 2: 0.125 mm where it
+    # of the branch on the trunk, 11.18 mm, the ends are within its radius, 0.1 mm, of generation 2: 0.125 mm where it
     # parts from the other branch at 53.13 degrees, 0.1 mm before the tree's next junction; in steps of 0.0125 mm
     stray = 0.225 / 11.18
     assert apart.generations["cast_matched_share"].tolist()[:2] == pytest.approx([1.0, 0.5 + stray / 2], abs=6e-4)
