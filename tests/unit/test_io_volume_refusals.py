@@ -144,7 +144,8 @@ def test_values_that_are_not_finite(tmp_path: Path, capfd: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize(
-    "spacings", ["0 1 1", "-1 1 1", "nan 1 1", "inf 1 1", "1e-300 1 1", "2000 2000 2000", "1 1 1001", "1e300 1e300 1e300"]
+    "spacings",
+    ["0 1 1", "-1 1 1", "nan 1 1", "inf 1 1", "1e-300 1 1", "2000 2000 2000", "1 1 1001", "1e300 1e300 1e300"],
 )
 def test_absurd_spacing(tmp_path: Path, capfd: pytest.CaptureFixture[str], spacings: str) -> None:
     refused(nrrd(tmp_path / "a.nrrd", bytes(24), spacings=spacings), capfd, "spacing|truncated or damaged")
@@ -179,7 +180,8 @@ def test_no_spacing_asks_for_it(tmp_path: Path, capfd: pytest.CaptureFixture[str
 
 
 @pytest.mark.parametrize(
-    "sizes", ["100000 100000 100000", "4294967296 4294967296 4294967296", "9223372036854775807 3 3", "1" + "0" * 40 + " 1 1"]
+    "sizes",
+    ["100000 100000 100000", "4294967296 4294967296 4294967296", "9223372036854775807 3 3", "1" + "0" * 40 + " 1 1"],
 )
 def test_more_than_memory_allows_is_said_before_reading(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], sizes: str
@@ -248,7 +250,9 @@ def test_a_detached_header_without_its_data(tmp_path: Path, capfd: pytest.Captur
     assert read_volume(tmp_path / f"a{suffix}").values.shape == (2, 3, 4)
 
 
-@pytest.mark.parametrize("pattern", ["s%s.raw 1 2 1", "s%03d%d.raw 1 2 1", "s%d.raw 1 2 0", "s%d.raw 1 99999999999 1", "%n"])
+@pytest.mark.parametrize(
+    "pattern", ["s%s.raw 1 2 1", "s%03d%d.raw 1 2 1", "s%d.raw 1 2 0", "s%d.raw 1 99999999999 1", "%n"]
+)
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_odd_data_file_patterns(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], suffix: str, pattern: str
@@ -279,6 +283,12 @@ def test_slices_that_do_not_make_a_stack(tmp_path: Path, capfd: pytest.CaptureFi
 def test_volumes_are_not_written_under_other_suffixes(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match=r"volumes are written as .nrrd"):
         write_volume(Volume(sample(), np.ones(3)), tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_types_that_images_do_not_have(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="values of type float16 have no place in an image"):
+        write_volume(Volume(sample("float16"), np.ones(3)), tmp_path / "a.nrrd")
     assert list(tmp_path.iterdir()) == []
 
 

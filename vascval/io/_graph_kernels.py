@@ -138,8 +138,8 @@ def _distance2_to_piece(point, a, b):
 def shared_beginning(points, group, tolerance, begin_a, end_a, begin_b, end_b):
     """How many points of path a, from its beginning, run along path b; and the point of b nearest to the last one.
 
-    Point ``i`` of a does so when b passes within ``tolerance[i]``, or the point of b that it is beside has the same
-    group (groups below 0 say nothing).
+    Point ``i`` of a does so when b passes within ``tolerance[i]``, or the point of b that it is beside, or the one
+    before that, has the same group (groups below 0 say nothing; tracts repeat the point at which they meet).
     """
     beside = begin_b
     last = begin_b
@@ -151,7 +151,8 @@ def shared_beginning(points, group, tolerance, begin_a, end_a, begin_b, end_b):
             gap2 = min(gap2, _distance2_to_piece(points[i], points[beside - 1], points[beside]))
         if beside + 1 < end_b:
             gap2 = min(gap2, _distance2_to_piece(points[i], points[beside], points[beside + 1]))
-        if gap2 > tolerance[i] ** 2 and not (group[i] >= 0 and group[i] == group[beside]):
+        known = group[i] >= 0 and (group[i] == group[beside] or group[i] == group[max(beside - 1, begin_b)])
+        if gap2 > tolerance[i] ** 2 and not known:
             return i - begin_a, last
         last = beside
     return end_a - begin_a, last

@@ -104,21 +104,17 @@ def write_image(
 ) -> None:
     """Voxels (nz, ny, nx) with their frame, compressed where the format knows how; texts as far as they fit.
 
-    :raises InputError: when the library cannot write them.
+    :raises RuntimeError: when the library cannot write them.
     """
     import SimpleITK as sitk
 
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    try:
-        image = sitk.GetImageFromArray(values.view(np.uint8) if values.dtype == bool else values)
-        image.SetSpacing(spacing_mm.tolist())
-        image.SetOrigin(origin_mm.tolist())
-        image.SetDirection(direction.ravel().tolist())
-        for name, text in texts.items():
-            if len(text) < _LONGEST_TEXT:
-                image.SetMetaData(name, text)
-        with printed():
-            sitk.WriteImage(image, str(path), useCompression=True)
-    except (RuntimeError, TypeError, KeyError) as error:
-        said = str(error).strip().splitlines() or ["no reason given"]
-        raise InputError(f"{path.name}: cannot be written ({said[-1][:160]}); choose another type or place") from error
+    image = sitk.GetImageFromArray(values.astype(values.dtype.newbyteorder("="), copy=False))
+    image.SetSpacing(spacing_mm.tolist())
+    image.SetOrigin(origin_mm.tolist())
+    image.SetDirection(direction.ravel().tolist())
+    for name, text in texts.items():
+        if len(text) < _LONGEST_TEXT:
+            image.SetMetaData(name, text)
+    with printed():
+        sitk.WriteImage(image, str(path), useCompression=True)

@@ -221,48 +221,52 @@ def write_volume(volume: Volume, path: Path | str) -> None:
     """
     path = Path(path)
     name = path.name.lower()
-    if name.endswith(".nrrd"):
-        with atomic_file(path) as aside:
-            _write_nrrd(volume, aside)
-    elif name.endswith((".nii", ".nii.gz", ".mha")):
-        with atomic_file(path) as aside:
-            texts = {_META_KEY: _meta_text(volume)} if name.endswith(".mha") else {}
-            itk.write_image(aside, volume.values, volume.spacing_mm, volume.origin_mm, volume.direction, texts)
-    else:
+    if not name.endswith((".nrrd", ".nii", ".nii.gz", ".mha")):
         raise InputError(f"{path}: volumes are written as .nrrd, .nii, .nii.gz or .mha; choose one of these")
+    values = volume.values.view(np.uint8) if volume.values.dtype == bool else volume.values
+    if values.dtype.str[1:] not in _NRRD_TYPES:
+        raise InputError(f"{path}: values of type {values.dtype} have no place in an image; convert them to float32")
+    meta = json.dumps(dict(volume.meta), sort_keys=True)
+    with atomic_file(path) as aside:
+        if name.endswith(".nrrd"):
+            _write_nrrd(volume, values, meta, aside)
+            return
+        texts = {_META_KEY: meta} if name.endswith(".mha") else {}
+        try:
+            itk.write_image(aside, values, volume.spacing_mm, volume.origin_mm, volume.direction, texts)
+        except RuntimeError as error:
+            said = str(error).strip().splitlines() or ["no reason given"]
+            raise InputError(f"{path}: cannot be written ({said[-1][:160]}); choose another format or place") from error
 
 
 _NRRD_TYPES = {
     "i1": "int8", "u1": "uint8", "i2": "int16", "u2": "uint16", "i4": "int32", "u4": "uint32",
-    "i8": "int64", "u8": "uint64", "f4": "float", "f8": "double", "b1": "uint8",
+    "i8": "int64", "u8": "uint64", "f4": "float", "f8": "double",
 }  # fmt: skip
 
 
-def _write_nrrd(volume: Volume, path: Path) -> None:
+def _write_nrrd(volume: Volume, values: np.ndarray, meta: str, path: Path) -> None:
     """Slice by slice through the compressor, so that no second copy of the volume is made."""
-    code = volume.values.dtype.str[1:]
-    if code not in _NRRD_TYPES:
-        raise InputError(f"{path}: values of type {volume.values.dtype} have no place in NRRD; convert them to numbers")
     axes = " ".join(_vector(volume.direction[:, i] * volume.spacing_mm[i]) for i in range(3))
-    meta = _meta_text(volume).replace("\\", "\\\\")
+    escaped = meta.replace("\\", "\\\\")
     lines = [
         "NRRD0005",
-        f"type: {_NRRD_TYPES[code]}",
+        f"type: {_NRRD_TYPES[values.dtype.str[1:]]}",
         "dimension: 3",
         "space: left-posterior-superior",
-        "sizes: " + " ".join(str(n) for n in volume.values.shape[::-1]),
+        "sizes: " + " ".join(str(n) for n in values.shape[::-1]),
         f"space directions: {axes}",
         "kinds: domain domain domain",
         "endian: little",
         "encoding: gzip",
         'space units: "mm" "mm" "mm"',
         f"space origin: {_vector(volume.origin_mm)}",
-        f"{_META_KEY}:={meta}",
+        f"{_META_KEY}:={escaped}",
     ]
     compressor = zlib.compressobj(level=6, wbits=zlib.MAX_WBITS | 16)
     with path.open("wb") as stream:
         stream.write(("\n".join(lines) + "\n\n").encode())
-        for plane in volume.values:
+        for plane in values:
             little = plane.astype(plane.dtype.newbyteorder("<"), copy=False)
             stream.write(compressor.compress(np.ascontiguousarray(little).tobytes()))
         stream.write(compressor.flush())
@@ -270,7 +274,3 @@ def _write_nrrd(volume: Volume, path: Path) -> None:
 
 def _vector(values: np.ndarray) -> str:
     return "(" + ",".join(repr(float(value)) for value in values) + ")"
-
-
-def _meta_text(volume: Volume) -> str:
-    return json.dumps(dict(volume.meta), sort_keys=True)
