@@ -64,4 +64,4 @@ def analyze(
         if directory is not None:
             say(f"\nreport: {directory / 'report.html'}")
     if json_file is not None:
-        write_json(document, json_file)
+        write_json({**document, "provenance": origin}, json_file)

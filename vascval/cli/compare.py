@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from vascval.cli import sources
-from vascval.cli.console import Observer, progress, say, write_json
+from vascval.cli.console import progress, say, write_json
 from vascval.cli.options import Selection, json_option, unit_option, volume_options
 from vascval.cli.sources import Measured
 from vascval.cli.summary import comparison_tables
@@ -17,6 +17,7 @@ from vascval.core.errors import InputError
 
 if TYPE_CHECKING:
     from vascval.comparison import Comparison
+    from vascval.io.documents import ReferenceTable
 
 DIRECTORY = "vascval-compare"
 
@@ -79,6 +80,8 @@ def compare(
     if directory is not None:
         sources.check_directory(directory)
     sources.check_json(json_file, inputs)
+    from vascval.comparison import compare as run
+    from vascval.io.documents import read_reference_table
     from vascval.io.provenance import provenance
 
     names = sources.names(trees)
@@ -86,14 +89,23 @@ def compare(
     config = {**selection.config(), "unit": unit, "tolerance_mm": tolerance_mm}
     origin = provenance(command="compare", config=config, seed=None, inputs=inputs)
     with progress() as observer:
+        published = read_reference_table(reference) if reference else None
+        found = [sources.measure(path, name, Selection(), unit, observer) for path, name in zip(trees, names)]
+        against: ReferenceTable | Measured
         if sources.kind(cast) == "table":
-            against: Measured | Path = cast
+            against = read_reference_table(cast)
         else:
             against = sources.measure(cast, cast_name, selection, unit, observer)
-        comparison = compared(against, list(zip(trees, names)), observer, reference, unit, tolerance_mm)
+        comparison = run(
+            against.analysis if isinstance(against, Measured) else against,
+            [tree.analysis for tree in found],
+            reference=published,
+            tolerance_mm=tolerance_mm,
+            observer=observer,
+        )
         if directory is not None:
             write_report(comparison, directory, origin, against)
-    announce(comparison, directory, json_file)
+    announce(comparison, directory, json_file, origin)
 
 
 def _check(cast: Path, trees: Sequence[Path], reference: Path | None, selection: Selection) -> None:
@@ -106,29 +118,8 @@ def _check(cast: Path, trees: Sequence[Path], reference: Path | None, selection:
         sources.require(reference, "table", "give a CSV table by generation")
 
 
-def compared(
-    against: Measured | Path,
-    trees: Sequence[tuple[Path, str]],
-    observer: Observer | None,
-    reference: Path | None = None,
-    unit: str | None = None,
-    tolerance_mm: float | None = None,
-) -> Comparison:
-    """The comparison of a measured cast, or of a published table, with tree files that go by the names beside them."""
-    from vascval.comparison import compare as run
-    from vascval.io.documents import read_reference_table
-
-    return run(
-        read_reference_table(against) if isinstance(against, Path) else against.analysis,
-        [sources.measure(path, name, Selection(), unit, observer).analysis for path, name in trees],
-        reference=None if reference is None else read_reference_table(reference),
-        tolerance_mm=tolerance_mm,
-        observer=observer,
-    )
-
-
 def write_report(
-    comparison: Comparison, directory: Path, origin: Mapping[str, Any], against: Measured | Path
+    comparison: Comparison, directory: Path, origin: Mapping[str, Any], against: Measured | ReferenceTable
 ) -> None:
     """The report and, unless the cast is a table, its tree: all of it or nothing."""
     from vascval.io.atomic import atomic_directory
@@ -136,14 +127,15 @@ def write_report(
     from vascval.report import write_compare_report
 
     with atomic_directory(directory) as work:
-        if isinstance(against, Path):
-            write_compare_report(comparison, work, provenance=origin)
-        else:
-            write_compare_report(comparison, work, provenance=origin, skeleton=against.skeleton)
+        skeleton = against.skeleton if isinstance(against, Measured) else None
+        write_compare_report(comparison, work, provenance=origin, skeleton=skeleton)
+        if isinstance(against, Measured):
             write_vtp(against.analysis.tree, work / "cast.vtp", provenance=origin)
 
 
-def announce(comparison: Comparison, directory: Path | None, json_file: str | None) -> None:
+def announce(
+    comparison: Comparison, directory: Path | None, json_file: str | None, origin: Mapping[str, Any]
+) -> None:
     """Prints the short tables and where the report is, or the JSON document."""
     document = comparison.document()
     if json_file != "-":
@@ -151,4 +143,4 @@ def announce(comparison: Comparison, directory: Path | None, json_file: str | No
         if directory is not None:
             say(f"\nreport: {directory / 'report.html'}")
     if json_file is not None:
-        write_json(document, json_file)
+        write_json({**document, "provenance": origin}, json_file)

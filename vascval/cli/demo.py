@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from vascval.cli import sources
-from vascval.cli.compare import announce, compared, write_report
+from vascval.cli.compare import announce, write_report
 from vascval.cli.console import Observer, progress
 from vascval.cli.options import Selection, json_option
 
@@ -55,6 +55,7 @@ def demo(directory: Path, json_file: str | None) -> None:
     """
     sources.check_directory(directory)
     sources.check_json(json_file)
+    from vascval.comparison import compare
     from vascval.imaging.rasterize import rasterize
     from vascval.io.atomic import atomic_directory
     from vascval.io.provenance import provenance
@@ -68,10 +69,11 @@ def demo(directory: Path, json_file: str | None) -> None:
         origin = provenance(command="demo", config=config, seed=TREE_SEED, inputs=[])
         write_vtp(_grown(TREE_SEED, observer), tree, provenance=origin)
         against = sources.measure(cast, cast.name, Selection(), None, observer)
-        comparison = compared(against, [(tree, tree.name)], observer)
+        other = sources.measure(tree, tree.name, Selection(), None, observer)
+        comparison = compare(against.analysis, [other.analysis], observer=observer)
         origin = provenance(command="demo", config=config, seed=CAST_SEED, inputs=[cast, tree])
         write_report(comparison, work, origin, against)
-    announce(comparison, directory, json_file)
+    announce(comparison, directory, json_file, origin)
 
 
 def _grown(seed: int, observer: Observer | None) -> Tree:

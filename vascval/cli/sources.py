@@ -88,6 +88,8 @@ def skeletonize(path: Path, selection: Selection, observer: Observer | None) -> 
         volume = read_volume(
             path, spacing_mm=selection.spacing_mm, max_memory_bytes=selection.max_memory_bytes
         )
+        for text in volume.meta.get("notes", ()):
+            note(f"{path}: {text}")
         return imaging.skeletonize(
             volume,
             label=selection.label,
