@@ -16,6 +16,7 @@ import numpy as np
 from vascval.core.jit import njit
 
 NEAR = 1e-4
+TINY = 1e-30
 NOWHERE, AT_PROXIMAL, AT_DISTAL, AT_TERMINAL = 0, 1, 2, 3
 
 
@@ -82,8 +83,9 @@ def length_between(ax, ay, az, bx, by, bz):
 def joined(store, r, lp, ls, lt):
     """The new bifurcation's numbers, from the lengths to the proximal, distal and terminal point.
 
-    ``rho_s, v_s, q_s, q_t, S, S^(2/gamma), base_v`` and ``rho, v`` of the segment that feeds it.
+    ``rho_s, v_s, q_s, rho_t = v_t, q_t, S, S^(2/gamma), base_v`` and ``rho, v`` of the segment that feeds it.
     """
+    ls, lt = max(ls, TINY), max(lt, TINY)
     rho_s = r.n * ls + r.base_rho
     v_s = ls + r.base_v
     q_s = rho_s ** (0.25 * store.gamma)
@@ -91,7 +93,7 @@ def joined(store, r, lp, ls, lt):
     s_sum = q_s + q_t
     a = s_sum ** (2.0 / store.gamma)
     base_v = (v_s * np.sqrt(rho_s) + lt * np.sqrt(lt)) / a
-    return rho_s, v_s, q_s, q_t, s_sum, a, base_v, (r.n + 1) * lp + a * a, lp + base_v
+    return rho_s, v_s, q_s, lt, q_t, s_sum, a, base_v, (r.n + 1) * lp + a * a, lp + base_v
 
 
 @njit
@@ -107,11 +109,11 @@ def feed(store, s, rho, v):
 
 
 @njit
-def weights(n, values, lt, d_rho, d_v):
+def weights(n, values, d_rho, d_v):
     """dF/dl of the proximal, distal and terminal segment at the bifurcation."""
-    rho_s, v_s, q_s, q_t, s_sum, a, base_v, _, _ = values
-    root_s, root_t = np.sqrt(rho_s), np.sqrt(lt)
-    part_s, part_t = q_s / (s_sum * rho_s), q_t / (s_sum * lt)
+    rho_s, v_s, q_s, rho_t, q_t, s_sum, a, base_v, _, _ = values
+    root_s, root_t = np.sqrt(rho_s), np.sqrt(rho_t)
+    part_s, part_t = q_s / (s_sum * rho_s), q_t / (s_sum * rho_t)
     ws = d_rho * a * a * part_s + d_v * (v_s / (2.0 * root_s * a) - 0.5 * base_v * part_s)
     wt = d_rho * a * a * part_t + d_v * (root_t / (2.0 * a) - 0.5 * base_v * part_t)
     return (n + 1) * d_rho + d_v, n * ws + d_v * root_s / a, wt + d_v * root_t / a
@@ -191,11 +193,11 @@ def assess(store, s, bx, by, bz, x, y, z, scale):
     ls = length_between(bx, by, bz, r.bx, r.by, r.bz)
     lt = length_between(bx, by, bz, x, y, z)
     values = joined(store, r, lp, ls, lt)
-    cost, d_rho, d_v = feed(store, s, values[7], values[8])
-    wp, ws, wt = weights(r.n, values, lt, d_rho, d_v)
+    cost, d_rho, d_v = feed(store, s, values[8], values[9])
+    wp, ws, wt = weights(r.n, values, d_rho, d_v)
     rp = np.sqrt(scale * d_v * np.exp(cost))
-    unit = rp / np.sqrt(values[5])
-    return cost, lp, ls, lt, wp, ws, wt, rp, unit * values[0] ** 0.25, unit * lt**0.25, d_rho, d_v
+    unit = rp / np.sqrt(values[6])
+    return cost, lp, ls, lt, wp, ws, wt, rp, unit * values[0] ** 0.25, unit * values[3] ** 0.25, d_rho, d_v
 
 
 @njit
@@ -208,8 +210,8 @@ def refine(store, s, bx, by, bz, x, y, z, d_rho, d_v, rounds):
         lp = length_between(bx, by, bz, r.ax, r.ay, r.az)
         ls = length_between(bx, by, bz, r.bx, r.by, r.bz)
         lt = length_between(bx, by, bz, x, y, z)
-        wp, ws, wt = weights(r.n, joined(store, r, lp, ls, lt), lt, d_rho, d_v)
-        bx, by, bz, corner = fermat(r, x, y, z, wp, ws, wt)
-        if corner != NOWHERE:
-            break
+        wp, ws, wt = weights(r.n, joined(store, r, lp, ls, lt), d_rho, d_v)
+        fx, fy, fz, corner = fermat(r, x, y, z, wp, ws, wt)
+        part = 1.0 if corner == NOWHERE else 0.8
+        bx, by, bz = bx + part * (fx - bx), by + part * (fy - by), bz + part * (fz - bz)
     return bx, by, bz, corner, wp, ws, wt

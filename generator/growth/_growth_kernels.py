@@ -99,10 +99,8 @@ def propose(store, rules, s, x, y, z, scale):
     """
     bx, by, bz = first_guess(store.segment[s], x, y, z)
     found = assess(store, s, bx, by, bz, x, y, z, scale)
-    for rounds in (3, 1):
+    for rounds in (3, 2):
         bx, by, bz, corner, _, _, _ = refine(store, s, bx, by, bz, x, y, z, found[10], found[11], rounds)
-        if corner != NOWHERE:
-            break
         found = assess(store, s, bx, by, bz, x, y, z, scale)
     merge = corner == AT_PROXIMAL or (corner == NOWHERE and found[1] <= rules.merge_mm)
     (bx, by, bz), moved = moved_off(store, rules, s, x, y, z, found, bx, by, bz, corner)
@@ -263,12 +261,12 @@ def add_one(store, stems):
 
 
 @njit
-def grow(store, stems, rules, grid, space, points, outcome, spacing_mm3, target, near, distance):
+def grow(store, stems, rules, grid, space, points, outcome, spacing_mm, target, near, distance):
     """Place points, from ``count[3]`` on, until there are ``target`` terminals; see the return codes above.
 
     :param outcome: (M,) what became of each point.
-    :param spacing_mm3: the domain's volume, for the distance that a new terminal must keep from all segments:
-        ``(spacing_mm3 / k)^(1/3)`` for the k-th, times 0.9 after every 10 points refused; 0 asks for no distance.
+    :param spacing_mm: the distance that the k-th terminal must keep from all segments is ``spacing_mm / k^(1/3)``,
+        times 0.9 after every 10 points refused; 0 asks for no distance.
     """
     nx, ny, nz = grid.head.shape
     room = 4 * (nx + ny + nz + 3)
@@ -280,8 +278,8 @@ def grow(store, stems, rules, grid, space, points, outcome, spacing_mm3, target,
             return NO_ROOM
         x, y, z = points[at]
         store.count[3] += 1
-        if spacing_mm3 > 0.0:
-            apart = (spacing_mm3 / (store.count[1] + 1)) ** (1.0 / 3.0) * 0.9 ** (store.count[4] // 10)
+        if spacing_mm > 0.0:
+            apart = spacing_mm / (store.count[1] + 1) ** (1.0 / 3.0) * 0.9 ** (store.count[4] // 10)
             if anything_within(grid, store.segment, x, y, z, apart):
                 store.count[4] += 1
                 continue
@@ -290,7 +288,7 @@ def grow(store, stems, rules, grid, space, points, outcome, spacing_mm3, target,
             store.count[4] = 0
         else:
             store.count[4] += 1
-            if spacing_mm3 > 0.0 and (outcome[at] == TOO_THIN or store.count[4] > 5000):
+            if spacing_mm > 0.0 and (outcome[at] == TOO_THIN or store.count[4] > 5000):
                 return STUCK
     return DONE
 
@@ -341,3 +339,4 @@ def load(store, stems, parent, position):
             j += 1
         else:
             r.stem = store.segment[r.parent].stem
+
