@@ -44,11 +44,16 @@ class Rules:
 
 @dataclass(frozen=True, eq=False)
 class Phantom:
-    """An image and the tree that it shows."""
+    """An image and the tree that it shows; ``drawn`` is the same tree with the radii that the image really has.
+
+    They differ on rough walls alone: over the few correlation lengths of a thin vessel's wall the noise does not
+    average out, so that the vessel in the image is a few per cent thicker or thinner than the one meant.
+    """
 
     name: str
     truth: Tree
     volume: Volume
+    drawn: Tree
 
 
 def phantom(kind: str, seed: int, *, size: int = 400, n_terminals: int = 300, bend_mm: float = 0.0) -> Phantom:
@@ -57,7 +62,7 @@ def phantom(kind: str, seed: int, *, size: int = 400, n_terminals: int = 300, be
     * smooth: the tree as it is;
     * trifurcating: 20 in 300 of the terminals spring from nodes that have two children already;
     * anisotropic: the smooth tree in voxels of 1 x 1 x 2 mm;
-    * rough: the smooth tree, its wall displaced by 0.6 mm rms with correlation (:func:`rough_mask`).
+    * rough: the smooth tree, its wall displaced by 0.6 mm rms with correlation (:func:`rough_image`).
 
     All but the rough ones are free of tunnels (:func:`sound_image`).
     """
@@ -69,10 +74,11 @@ def phantom(kind: str, seed: int, *, size: int = 400, n_terminals: int = 300, be
     spacing = (1.0, 1.0, 2.0) if kind == "anisotropic" else (1.0, 1.0, 1.0)
     shape = (-(-size // int(spacing[2])), size, size)
     if kind == "rough":
-        volume = rough_mask(tree, rng, shape=shape)
+        volume, drawn = rough_image(tree, rng, shape=shape)
     else:
         tree, volume = sound_image(tree, rng, spacing, shape)
-    return Phantom(f"{kind}-{seed}", tree, volume)
+        drawn = tree
+    return Phantom(f"{kind}-{seed}", tree, volume, drawn)
 
 
 def sound_image(
@@ -95,10 +101,10 @@ def sound_image(
     raise ComputationError("no place on the grid makes an image without tunnels; take wider angles")
 
 
-def rough_mask(
+def rough_image(
     tree: Tree, rng: np.random.Generator, *, shape: tuple[int, int, int], rms_mm: float = 0.6, sigma_mm: float = 1.5
-) -> Volume:
-    """The tree in voxels of 1 mm with a rough wall: distance to the wall + noise <= 0.
+) -> tuple[Volume, Tree]:
+    """The tree in voxels of 1 mm with a rough wall: distance to the wall + noise <= 0; and the tree as drawn.
 
     The noise is white noise under a Gaussian filter of ``sigma_mm``, scaled to ``rms_mm``; as the distance has slope 1,
     it displaces the wall along its normal by that much.
@@ -108,8 +114,44 @@ def rough_mask(
     noise = gaussian_filter(rng.standard_normal(shape, dtype=np.float32), sigma_mm, truncate=3.0)
     noise *= rms_mm / noise.std()
     wall = wall_distance(tree, band_mm=6.0 * rms_mm, voxel_mm=1.0, shape=shape, origin_mm=(0.0, 0.0, 0.0))
+    drawn = replace(tree, radius_mm=drawn_radius(tree, noise, wall.values))
     noise += wall.values
-    return replace(wall, values=(noise <= 0).view(np.uint8))
+    return replace(wall, values=(noise <= 0).view(np.uint8)), drawn
+
+
+def drawn_radius(tree: Tree, noise: np.ndarray, wall: np.ndarray, *, n_around: int = 24) -> np.ndarray:
+    """(N,) radius of equal cross-section of each segment whose wall ``noise`` displaces, both (z, y, x) with 1 mm voxels.
+
+    From every half millimetre of centreline, rays go out to where ``distance + noise`` is 0, by fixed-point iteration.
+    Rays that end within another tube count for nothing; a segment without any keeps its radius.
+    """
+    from scipy.ndimage import map_coordinates
+
+    radius = tree.radius_mm.copy()
+    angle = 2.0 * np.pi * np.arange(n_around) / n_around
+    for i in range(1, tree.n_nodes):
+        line = resampled(tree.polyline(i), 0.5)
+        along = np.gradient(line, axis=0)
+        side = np.cross(along, np.eye(3)[np.abs(along).mean(axis=0).argmin()])
+        side /= np.linalg.norm(side, axis=1)[:, None]
+        other = np.cross(along, side) / np.linalg.norm(along, axis=1)[:, None]
+        ray = np.cos(angle)[:, None, None] * side + np.sin(angle)[:, None, None] * other
+        reach = np.full(ray.shape[:2], radius[i])
+        for _ in range(6):
+            at = (line + reach[..., None] * ray)[..., ::-1].transpose(2, 0, 1)
+            reach = radius[i] - map_coordinates(noise, at, order=1, mode="nearest")
+        at = (line + radius[i] * ray)[..., ::-1].transpose(2, 0, 1)
+        free = map_coordinates(wall, at, order=1, mode="nearest") > -0.25
+        if free.any():
+            radius[i] = math.sqrt(np.mean(reach[free] ** 2))
+    return radius
+
+
+def resampled(line: np.ndarray, step_mm: float) -> np.ndarray:
+    """(S, 3) points along a polyline (K, 3), ends included, at most a step apart and at least three."""
+    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
+    s = np.linspace(0.0, along[-1], max(3, int(along[-1] / step_mm) + 2))
+    return np.stack([np.interp(s, along, line[:, k]) for k in range(3)], axis=1)
 
 
 def grow(

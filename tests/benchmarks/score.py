@@ -16,6 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
+from tests.benchmarks.phantoms import resampled
 from vascval.core.contraction import contract_degenerate
 from vascval.core.ordering import element, strahler_order
 from vascval.core.tree import Tree
@@ -185,13 +186,7 @@ def _segment_scores(truth: Tree, found: Tree, pairs: np.ndarray, voxel_mm: float
 
 def _sampled(tree: Tree, segments: Any, step_mm: float) -> np.ndarray:
     """(S, 3) points along the centrelines of the segments, no more than a step apart."""
-    lines = []
-    for i in segments:
-        line = tree.polyline(int(i))
-        along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
-        s = np.linspace(0.0, along[-1], int(along[-1] / step_mm) + 2)
-        lines.append(np.stack([np.interp(s, along, line[:, k]) for k in range(3)], axis=1))
-    return np.concatenate(lines)
+    return np.concatenate([resampled(tree.polyline(int(i)), step_mm) for i in segments])
 
 
 def _junctions(tree: Tree, clades: list[Clade | None]) -> dict[int, frozenset[Clade] | None]:

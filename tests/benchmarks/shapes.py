@@ -30,7 +30,7 @@ def capsule(
     end = start + length_mm * np.asarray(direction) / np.linalg.norm(direction)
     tree = Tree(Topology(np.array([-1, 0])), np.array([start, end]), np.full(2, radius_mm))
     low = np.floor(np.minimum(start, end) - radius_mm - 3.0)
-    return Phantom(f"capsule-{radius_mm:g}", tree, rasterize(tree, voxel_mm=1.0, origin_mm=low, margin_mm=3.0))
+    return Phantom(f"capsule-{radius_mm:g}", tree, rasterize(tree, voxel_mm=1.0, origin_mm=low, margin_mm=3.0), tree)
 
 
 def ring(*, loop_mm: float = 20.0, vessel_mm: float = 3.0) -> Phantom:
@@ -44,7 +44,7 @@ def ring(*, loop_mm: float = 20.0, vessel_mm: float = 3.0) -> Phantom:
     inlet = np.array([[0.0, 0.0, -3.0 * loop_mm], there[0]])
     outlet = np.array([there[-1], [0.0, 0.0, 3.0 * loop_mm]])
     tree = _of_lines([-1, 0, 1, 1, 2], [inlet, there, back, outlet], [vessel_mm + 1, vessel_mm, vessel_mm, vessel_mm])
-    return Phantom("ring", tree, rasterize(tree, voxel_mm=1.0))
+    return Phantom("ring", tree, rasterize(tree, voxel_mm=1.0), tree)
 
 
 def touching(*, vessel_mm: float = 3.0) -> Phantom:
@@ -57,7 +57,7 @@ def touching(*, vessel_mm: float = 3.0) -> Phantom:
     lines = [np.stack((np.zeros(51), side * y, z), axis=1) for side in (1.0, -1.0)]
     stem = np.array([[0.0, 0.0, -30.0], [0.0, 0.0, 0.0]])
     tree = _of_lines([-1, 0, 1, 1], [stem, *lines], [vessel_mm * 2 ** (1 / 3), vessel_mm, vessel_mm])
-    return Phantom("touching", tree, rasterize(tree, voxel_mm=1.0))
+    return Phantom("touching", tree, rasterize(tree, voxel_mm=1.0), tree)
 
 
 def with_islands(phantom: Phantom, rng: np.random.Generator, *, n: int = 5, clearance_mm: float = 6.0) -> Phantom:
