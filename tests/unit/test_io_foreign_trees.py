@@ -141,7 +141,8 @@ def test_gxl(shared_data: Shared, name: str, nodes: int, tips: int, root: list[i
 @pytest.mark.parametrize(
     ("name", "factor"),
     [("radius", 1), ("Radius", 1), ("RADII", 1), ("radius_mm", 1), ("Radius [mm]", 1),
-     ("MaximumInscribedSphereRadius", 1), ("diameter", 2), ("Diameters", 2), ("diam", 2), ("thickness", 2), ("diameter_mm", 2)],
+     ("MaximumInscribedSphereRadius", 1),
+     ("diameter", 2), ("Diameters", 2), ("diam", 2), ("thickness", 2), ("diameter_mm", 2)],
 )  # fmt: skip
 @pytest.mark.parametrize("place", ["cells", "at_points"])
 def test_names_of_radii(tmp_path: Path, name: str, factor: int, place: str) -> None:

@@ -37,7 +37,10 @@ def edge_radius(edges: np.ndarray, radius: np.ndarray) -> np.ndarray:
 
     At a branching point (three or more edges) the radius is that of the thickest vessel there, or of the space
     between them: it is left out, and where both ends are such points the smaller value counts.
+
+    :raises InputError: when a radius is negative or not finite.
     """
+    _require_radii(radius.ravel(), "points")
     branching = (np.bincount(edges.ravel()) >= 3)[edges]
     alone = np.where(branching[:, 0], radius[:, 1], radius[:, 0])
     mixed = np.where(branching.any(axis=1), alone, radius.mean(axis=1))
@@ -56,15 +59,19 @@ def assemble(sketch: Sketch, *, keep: Keep = "largest", meta: dict[str, Any] | N
     """
     guesses = list(sketch.guesses)
     sketch = replace(sketch, guesses=guesses)
-    bad = np.flatnonzero(~np.isfinite(sketch.radius_mm) | (sketch.radius_mm < 0))
-    if bad.size:
-        raise InputError(f"{bad.size} pieces have a radius that is negative or not finite (first: {bad[0]}); mend them")
+    _require_radii(sketch.radius_mm, "pieces")
     sketch = _without_doubles(sketch)
     sketch = _largest(sketch, keep)
     sketch = _without_loops(sketch)
     sketch = replace(sketch, roots=[_root(sketch)])
     sketch = _without_zero_length(sketch)
     return _tree(sketch, sketch.roots[0], {**(meta or {}), "guesses": guesses})
+
+
+def _require_radii(radius: np.ndarray, what: str) -> None:
+    bad = ~np.isfinite(radius) | (radius < 0)
+    if bad.any():
+        raise InputError(f"{what} have a radius that is negative or not finite (first: {radius[bad][0]}); mend them")
 
 
 def _lengths(sketch: Sketch) -> np.ndarray:

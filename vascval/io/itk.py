@@ -49,7 +49,7 @@ def read_image(
         except (RuntimeError, MemoryError) as error:
             raise InputError(f"{path}: {_reason(error, header.kind)}") from error
         if complaint():
-            raise InputError(f"{path}: cannot be read as {header.kind} ({complaint()}); it is truncated or damaged")
+            raise InputError(f"{path}: cannot be read as {header.kind} ({complaint()[:160]}); it is damaged")
     return image, notes
 
 

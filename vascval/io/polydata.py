@@ -7,7 +7,7 @@ VTK sees it, what VTK says is caught, and all indices are checked before they ar
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 
 from vascval.core.errors import InputError
 from vascval.io import xml_guard
+from vascval.io.quiet import printed
 
 _DENSEST = 1100  # bytes out of one byte in: zlib, the densest of VTK's compressors on zeros, reaches 1032
 
@@ -78,6 +79,10 @@ def _guard_xml(path: Path) -> None:
     xml_guard.parse(path, start)
     if kind != ["PolyData"]:
         raise InputError(f"{path}: is XML but no VTK PolyData; save the tree as PolyData (.vtp)")
+    with path.open("rb") as stream:  # raw data are no XML and their end was not looked at
+        stream.seek(max(size - 256, 0))
+        if not stream.read().rstrip().endswith(b"</VTKFile>"):
+            raise InputError(f"{path}: does not end with </VTKFile>; it is truncated or damaged")
 
 
 def _guard_legacy(path: Path) -> None:
@@ -99,12 +104,10 @@ def _read(path: Path, reader: Any) -> PolyData:
         reader.SetFileName(str(path))
         reader.Update()
         data = reader.GetOutput()
-        if not messages() and data is not None and data.GetPoints() is not None:
-            result = _arrays(data)
-        else:
-            result = None
-    if messages():
-        raise InputError(f"{path}: cannot be read as VTK poly data ({messages()}); it is truncated or damaged")
+        said = messages().replace(str(path), "it")
+        result = _arrays(data) if not said and data.GetPoints() is not None else None
+    if said:
+        raise InputError(f"{path}: cannot be read as VTK poly data ({said}); it is truncated or damaged")
     if result is None or len(result.points) == 0 or len(result.offsets) < 2:
         raise InputError(f"{path}: holds no lines; a tree needs lines between its points")
     _check(path, result)
@@ -164,22 +167,26 @@ def _check(path: Path, data: PolyData) -> None:
 
 
 @contextmanager
-def vtk_messages() -> Iterator[Any]:
-    """Catches what VTK would print; yields a function that tells the first error so far, an empty text if none."""
+def vtk_messages() -> Iterator[Callable[[], str]]:
+    """Catches what VTK prints, by its window or past it; yields a function that tells the first line so far that
+    speaks of an error, an empty text if none does."""
     from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
 
     window = vtkStringOutputWindow()
     before = vtkOutputWindow.GetInstance()
     vtkOutputWindow.SetInstance(window)
-
-    def first_error() -> str:
-        said = str(window.GetOutput())
-        match = re.search(r"(?:ERROR|ERR\|).*?\n?.*?\(0x[0-9a-f]+\):\s*([^\n]*)", said, re.DOTALL)
-        if match:
-            return match[1].strip().rstrip(".")[:160]
-        return said.strip().splitlines()[-1][:160] if re.search(r"\bERR", said) else ""
-
     try:
-        yield first_error
+        with printed() as complaint:
+
+            def first_error() -> str:
+                lines = [complaint(), *(line for line in str(window.GetOutput()).splitlines() if "rror" in line)]
+                said = next((line for line in lines if line), "")
+                return _PREFIX.sub("", _COLOUR.sub("", said)).strip().rstrip(".")[:160]
+
+            yield first_error
     finally:
         vtkOutputWindow.SetInstance(before)
+
+
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+_PREFIX = re.compile(r"^.*?(?:ERR|WARN)\|\s*(?:\w+ \(0x[0-9a-f]+\):\s*)?")

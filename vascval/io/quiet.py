@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-_ERROR = re.compile(r"[^\n]*(?:error|fail|not read|cannot|can't|corrupt|truncat)[^\n]*", re.IGNORECASE)
+_ERROR = re.compile(r"[^\n]*(?:error|err\||fail|not read|cannot|can't|corrupt|truncat)[^\n]*", re.IGNORECASE)
 
 
 @contextmanager
@@ -30,7 +30,7 @@ def printed() -> Iterator[Callable[[], str]]:
             catch.seek(0)
             match = _ERROR.search(catch.read(1 << 16).decode("utf-8", "replace"))
             catch.seek(0, os.SEEK_END)
-            return match[0].strip()[:160] if match else ""
+            return match[0].strip()[:1000] if match else ""
 
         try:
             yield first_error
