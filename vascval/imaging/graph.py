@@ -151,18 +151,23 @@ class Loops:
 
 
 def judge_loops(
-    skeleton: SkeletonGraph, parent: np.ndarray, ends: np.ndarray, position_mm: np.ndarray, thickness_mm: np.ndarray
+    skeleton: SkeletonGraph,
+    parent: np.ndarray,
+    ends: np.ndarray,
+    position_mm: np.ndarray,
+    thickness_mm: np.ndarray,
+    salience_mm: np.ndarray,
 ) -> Loops:
     """Tell loops of vessels from pinholes, and find what is left of a loop's arms.
 
     A loop whose length is at most ``PINHOLE_RADII`` = 3 pi times the largest distance value on it goes round a hole
     narrower than half its vessel's radius: voxels that fail to meet in a crotch, or a pit through a wall. It is opened
-    without being a finding. The arms of a true loop end at the cut; an arm that reaches farther from the tree than its
-    junction is thick stays as a branch, a lesser one is dropped.
+    without being a finding. The arms of a true loop end at the cut; an arm that sticks out of its junction by its
+    salience (:func:`vascval.imaging.tips.salience_mm`) stays as a branch, a lesser one is dropped.
 
     :param parent: (k,) parent of each skeleton point.
     :param ends: tips of vessels among the skeleton points.
-    :param position_mm: (k, 3); ``thickness_mm`` (k,) distance map at the skeleton points.
+    :param position_mm: (k, 3); ``thickness_mm``, ``salience_mm`` (k,) distance map and salience at the skeleton points.
     """
     kept = kernels.mark_paths(parent, ends.astype(np.int32))
     loops, stub, n_pinholes = [], [], 0
@@ -180,7 +185,7 @@ def judge_loops(
             while not kept[at] and parent[at] >= 0:
                 way += float(np.linalg.norm(position_mm[at] - position_mm[parent[at]]))
                 at = int(parent[at])
-            if way > thickness_mm[at] + thickness_mm[end]:
+            if way > thickness_mm[at] + salience_mm[end]:
                 stub.append(end)
     return Loops(np.array(loops, dtype=np.int64).reshape(-1, 2), n_pinholes, np.unique(np.array(stub, dtype=np.int64)))
 

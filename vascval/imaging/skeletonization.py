@@ -20,7 +20,7 @@ from vascval.imaging.refine import Refined, refine
 from vascval.imaging.runs import Runs
 from vascval.imaging.selection import select
 from vascval.imaging.thinning import thin
-from vascval.imaging.tips import Tips, find_tips
+from vascval.imaging.tips import Tips, find_tips, salience_mm
 from vascval.imaging.voxels import Voxels, from_runs
 from vascval.io.volumes import Volume
 
@@ -202,7 +202,8 @@ def _draw(voxels: Voxels, left: np.ndarray, thickness: np.ndarray, tips: Tips, r
         root = int(np.searchsorted(skeleton.voxel, root_voxel))
     order, parent = graph.rooted(skeleton, root)
     position = voxels.index_xyz(skeleton.voxel) * voxels.spacing_mm
-    loops = graph.judge_loops(skeleton, parent, ends, position, thickness[skeleton.voxel])
+    at = thickness[skeleton.voxel]
+    loops = graph.judge_loops(skeleton, parent, ends, position, at, salience_mm(at, voxels.spacing_mm))
     ends = np.union1d(ends[ends != root], loops.stub)
     return _Drawn(skeleton, order, parent, ends, loops)
 

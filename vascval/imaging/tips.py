@@ -10,7 +10,7 @@ from vascval.imaging import _geodesic_kernels as kernels
 from vascval.imaging.voxels import Voxels
 
 SALIENCE_RADII = 1.0
-SALIENCE_VOXELS = 1.5
+SALIENCE_VOXELS = 2.5
 NOTICE_VOXELS = 1.5
 
 
@@ -22,13 +22,18 @@ class Tips:
     spur: np.ndarray
 
 
+def salience_mm(thickness_mm: np.ndarray, spacing_mm: np.ndarray) -> np.ndarray:
+    """How far a vessel of a given largest distance value must stick out to be one: as far as it is thick from axis to
+    wall (``SALIENCE_RADII``), and ``SALIENCE_VOXELS`` voxels that roughness and the grid may feign."""
+    return SALIENCE_RADII * thickness_mm + SALIENCE_VOXELS * np.cbrt(np.prod(spacing_mm))
+
+
 def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     """Find the tips of all vessels of a connected mask.
 
     The way through the mask from one of its ends (the place farthest from the thickest voxel) has a local maximum at
     every other tip, and at every bump of a rough wall. A maximum is followed down to the saddle where a farther one takes over; what hangs on it until there sticks
-    out by its persistence, the difference in way. A tip is a maximum whose persistence exceeds ``SALIENCE_RADII`` times
-    the largest distance value of that part plus ``SALIENCE_VOXELS`` voxels; lesser ones that stick out by more than
+    out by its persistence, the difference in way. A tip is a maximum whose persistence exceeds :func:`salience_mm`; lesser ones that stick out by more than
     ``NOTICE_VOXELS`` voxels are reported as spurs.
     """
     spacing = voxels.spacing_mm
@@ -41,8 +46,7 @@ def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     order = np.argsort(-way, kind="stable")
     tip, saddle, widest = kernels.maxima(order, way, thickness_mm, *walk)
     persistence = np.where(saddle < 0, np.inf, way[tip] - way[saddle])
-    voxel_mm = float(np.cbrt(np.prod(spacing)))
-    salient = persistence > SALIENCE_RADII * widest + SALIENCE_VOXELS * voxel_mm
-    noticed = ~salient & (persistence > NOTICE_VOXELS * voxel_mm)
+    salient = persistence > salience_mm(widest, spacing)
+    noticed = ~salient & (persistence > NOTICE_VOXELS * float(np.cbrt(np.prod(spacing))))
     by_way = np.argsort(-way[tip[salient]], kind="stable")
     return Tips(np.concatenate((tip[salient][by_way], [source])), np.sort(tip[noticed]))
