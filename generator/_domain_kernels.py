@@ -12,6 +12,7 @@ import numpy as np
 from vascval.core.jit import njit
 
 OUTSIDE, INSIDE, WALL = 0, 1, 2
+GRAZE = 1e-9  # a segment that touches the wall is not inside
 
 
 class Space(NamedTuple):
@@ -30,8 +31,8 @@ class Space(NamedTuple):
 
 
 @njit
-def crosses(triangle, ax, ay, az, dx, dy, dz):
-    """Does the segment from ``a`` along ``d`` meet the triangle (3, 3)? A graze counts (Moeller and Trumbore)."""
+def crosses(triangle, ax, ay, az, dx, dy, dz, slack):
+    """Does the segment from ``a`` along ``d`` meet the triangle (3, 3), widened by ``slack`` (Moeller and Trumbore)?"""
     e1x, e1y, e1z = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
     e2x, e2y, e2z = triangle[2, 0] - triangle[0, 0], triangle[2, 1] - triangle[0, 1], triangle[2, 2] - triangle[0, 2]
     px, py, pz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
@@ -40,20 +41,20 @@ def crosses(triangle, ax, ay, az, dx, dy, dz):
         return False
     sx, sy, sz = ax - triangle[0, 0], ay - triangle[0, 1], az - triangle[0, 2]
     u = (sx * px + sy * py + sz * pz) / det
-    if u < -1e-9 or u > 1.0 + 1e-9:
+    if u < -slack or u > 1.0 + slack:
         return False
     qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
     v = (dx * qx + dy * qy + dz * qz) / det
-    if v < -1e-9 or u + v > 1.0 + 1e-9:
+    if v < -slack or u + v > 1.0 + slack:
         return False
     t = (e2x * qx + e2y * qy + e2z * qz) / det
-    return -1e-9 <= t <= 1.0 + 1e-9
+    return -slack <= t <= 1.0 + slack
 
 
 @njit
 def crosses_wall(space, cell, ax, ay, az, dx, dy, dz):
     for k in range(space.offset[cell], space.offset[cell + 1]):
-        if crosses(space.triangle[space.wall[k]], ax, ay, az, dx, dy, dz):
+        if crosses(space.triangle[space.wall[k]], ax, ay, az, dx, dy, dz, GRAZE):
             return True
     return False
 
