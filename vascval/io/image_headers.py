@@ -27,7 +27,8 @@ _MAX_FILES = 100_000
 class Header:
     """What a header says: ``reader`` is the name of the ITK reader, ``sizes`` the axis lengths as stored (empty where
     only the library knows), ``itemsize`` the bytes per value, ``mm_per_unit`` what the spacing and origin that the
-    library reports are to be multiplied by, ``texts`` the key-value pairs of the writer."""
+    library reports are to be multiplied by, ``unpacked_bytes`` what compressed NIfTI must unpack to, ``texts`` the
+    key-value pairs of the writer."""
 
     kind: str
     reader: str
@@ -35,6 +36,7 @@ class Header:
     itemsize: int = 1
     has_spacing: bool = True
     mm_per_unit: float = 1.0
+    unpacked_bytes: int = 0
     texts: dict[str, str] = field(default_factory=dict)
 
 
@@ -227,12 +229,13 @@ def _nifti(path: Path, raw: bytes, endian: str) -> Header:
     pixdim = struct.unpack_from(endian + code, raw, offset)[1:4]
     if not all(math.isfinite(value) and value != 0 for value in pixdim[: min(n, 3)]):
         raise InputError(f"{path}: the spacing {pixdim} is absurd; correct pixdim in the header")
-    if not path.name.lower().endswith(".gz"):
-        start = struct.unpack_from(endian + ("f" if size == 348 else "q"), raw, 108 if size == 348 else 168)[0]
-        _require_bytes(path, [path], math.prod(sizes) * bits // 8, int(start) if math.isfinite(start) else 0)
-    elif not _whole_gzip(path, math.prod(sizes) * bits // 8):
-        raise InputError(f"{path}: its compressed data end early; it is truncated, get it again")
-    return Header("NIfTI", "NiftiImageIO", sizes=sizes, itemsize=max(bits // 8, 1))
+    start = struct.unpack_from(endian + ("f" if size == 348 else "q"), raw, 108 if size == 348 else 168)[0]
+    data_at = int(start) if math.isfinite(start) and start > 0 else 0
+    packed = path.name.lower().endswith(".gz")
+    if not packed:
+        _require_bytes(path, [path], math.prod(sizes) * bits // 8, data_at)
+    unpacked = data_at + math.prod(sizes) * bits // 8 if packed else 0
+    return Header("NIfTI", "NiftiImageIO", sizes=sizes, itemsize=max(bits // 8, 1), unpacked_bytes=unpacked)
 
 
 def _unzipped(head: bytes) -> bytes:
@@ -242,24 +245,27 @@ def _unzipped(head: bytes) -> bytes:
         return b""
 
 
-def _whole_gzip(path: Path, at_least: int) -> bool:
-    """Whether compressed data are complete, which the library does not tell.
+def require_whole(path: Path, header: Header) -> None:
+    """Refuses compressed NIfTI that ends early, which the library does not tell.
 
-    The last four bytes of a complete file of one member hold the size (mod 2^32) of what was packed, and the header
-    takes less than 64 KiB; only where they do not fit is the file unpacked to see.
+    The last four bytes of a complete file of one member hold the size (mod 2^32) of what was packed; only where that
+    does not fit is the file unpacked to see, without keeping anything.
     """
+    if header.unpacked_bytes == 0:
+        return
     with path.open("rb") as stream:
         stream.seek(-4, os.SEEK_END)
-        if (struct.unpack("<I", stream.read(4))[0] - at_least) % 2**32 < 1 << 16:
-            return True
+        if (struct.unpack("<I", stream.read(4))[0] - header.unpacked_bytes) % 2**32 < 1 << 16:
+            return
     there = 0
     try:
-        with gzip.open(path) as stream:
-            while block := stream.read(1 << 20):
+        with gzip.open(path) as packed:
+            while there < header.unpacked_bytes and (block := packed.read(1 << 20)):
                 there += len(block)
     except (OSError, EOFError, zlib.error):
-        return False
-    return there >= at_least
+        there = 0
+    if there < header.unpacked_bytes:
+        raise InputError(f"{path}: its compressed data end early; it is truncated, get it again")
 
 
 # --- shared -------------------------------------------------------------------------------------------------------

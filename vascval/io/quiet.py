@@ -38,3 +38,29 @@ def printed() -> Iterator[Callable[[], str]]:
             for number, copy in saved:
                 os.dup2(copy, number)
                 os.close(copy)
+
+
+@contextmanager
+def vtk_messages() -> Iterator[Callable[[], str]]:
+    """Catches what VTK prints, by its window or past it; yields a function that tells the first line so far that
+    speaks of an error, an empty text if none does."""
+    from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
+
+    window = vtkStringOutputWindow()
+    before = vtkOutputWindow.GetInstance()
+    vtkOutputWindow.SetInstance(window)
+    try:
+        with printed() as complaint:
+
+            def first_error() -> str:
+                lines = [complaint(), *(line for line in str(window.GetOutput()).splitlines() if "rror" in line)]
+                said = next((line for line in lines if line), "")
+                return _PREFIX.sub("", _COLOUR.sub("", said)).strip().rstrip(".")[:160]
+
+            yield first_error
+    finally:
+        vtkOutputWindow.SetInstance(before)
+
+
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+_PREFIX = re.compile(r"^.*?(?:ERR|WARN)\|\s*(?:\w+ \(0x[0-9a-f]+\):\s*)?")

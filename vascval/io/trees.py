@@ -14,11 +14,12 @@ from vascval.io.foreign import sketch_of
 from vascval.io.gxl import read_gxl
 from vascval.io.image_headers import first_bytes
 from vascval.io.length_units import require_unit
-from vascval.io.polydata import read_legacy, read_vtp
 from vascval.io.swc import read_swc, write_swc
 from vascval.io.tables import write_table
 from vascval.io.volumes import is_volume_path
+from vascval.io.vtk_legacy import read_legacy
 from vascval.io.vtp import is_own, own_tree, write_vtp
+from vascval.io.vtp_xml import read_vtp
 
 __all__ = ["is_tree_path", "is_volume_path", "read_tree", "write_swc", "write_table", "write_tree", "write_vtp"]
 

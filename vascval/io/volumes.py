@@ -23,7 +23,7 @@ import numpy as np
 from vascval.core.errors import InputError
 from vascval.io import itk
 from vascval.io.atomic import atomic_file
-from vascval.io.image_headers import Header, read_header
+from vascval.io.image_headers import Header, read_header, require_whole
 
 SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd", ".tif", ".tiff")
 _SHARE_OF_AVAILABLE = 0.5
@@ -129,6 +129,7 @@ def read_volume(
     if not header.has_spacing and given is None:
         raise InputError(f"{path}: {header.kind} gives no spacing in three dimensions; use --spacing X,Y,Z (mm)")
     _require_memory(path, allowed, header.sizes, header.itemsize)
+    require_whole(path, header)
     image, notes = itk.read_image(path, files, header, partial(_require_memory, path, allowed))
     if given is not None and header.has_spacing:
         notes.append(f"spacing given as {given.tolist()} mm, the file says {list(image.GetSpacing())}")

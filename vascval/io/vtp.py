@@ -23,7 +23,8 @@ from vascval.core.errors import InputError
 from vascval.core.ordering import generation, strahler_order
 from vascval.core.tree import Topology, Tree
 from vascval.io.atomic import atomic_file
-from vascval.io.polydata import PolyData, vtk_messages
+from vascval.io.polydata import PolyData
+from vascval.io.quiet import vtk_messages
 
 _STRUCTURE = ("radius_mm", "length_mm", "parent")
 _TEXT = "vascval"

@@ -22,25 +22,27 @@ def parse(
     start: Start,
     end: Callable[[str], Any] | None = None,
     text: Callable[[str], Any] | None = None,
-) -> None:
+) -> int | None:
     """Walk through an XML file.
 
     ``start(name, attributes)`` is called for each element and ends the walk by returning True (what follows may then
     be no XML at all, such as the raw data at the end of a VTP file); ``end(name)`` and ``text(characters)`` likewise.
 
+    :returns: where ``start`` ended the walk, in bytes; None when it went to the end.
     :raises InputError: for a document type or entity declaration, more than ``MAX_DEPTH`` levels, and XML that is not
         well formed or breaks off.
     """
     parser = expat.ParserCreate()
     parser.buffer_text = True
-    depth = 0
+    depth, over_at = 0, 0
 
     def on_start(name: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
+        nonlocal depth, over_at
         depth += 1
         if depth > MAX_DEPTH:
             raise InputError(f"{path}: its XML is nested deeper than {MAX_DEPTH} levels; this is no tree file")
         if start(name, attributes):
+            over_at = parser.CurrentByteIndex
             raise _Over
 
     def on_end(name: str) -> None:
@@ -62,10 +64,11 @@ def parse(
         with path.open("rb") as stream:
             parser.ParseFile(stream)
     except _Over:
-        pass
+        return over_at
     except expat.ExpatError as error:
         what = expat.ErrorString(error.code)
         raise InputError(f"{path}: is no sound XML (line {error.lineno}: {what}); it is damaged") from error
+    return None
 
 
 class _Over(Exception):
