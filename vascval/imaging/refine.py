@@ -22,6 +22,7 @@ from vascval.imaging.voxels import Voxels
 ROUNDS = 3
 SECTION_VOXELS = 1.0
 CORE = 0.6
+SMOOTHING_RADII = 2.0
 MIN_WINDOW = 0.15
 
 
@@ -143,7 +144,7 @@ def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, coarse: np.ndarray, st
     radius, sd = _radii(voxels, now, coarse, stations, low, high)
     node = _solve_nodes(nodes, now, lines)
     _place_tips(voxels, nodes, stations, lines, radius, low, high, node)
-    width = np.maximum(radius, float(voxels.spacing_mm.min()))
+    width = SMOOTHING_RADII * np.maximum(radius, float(voxels.spacing_mm.max()))
     centre = kernels.smooth_centres(
         stations.count, stations.total, stations.offset, stations.position, stations.tangent, stations.arc,
         low, high, width,
