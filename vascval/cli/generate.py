@@ -1,0 +1,124 @@
+"""``vascval generate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from vascval.cli import sources
+from vascval.cli.console import note, progress, say, table, write_json
+from vascval.cli.options import json_option
+
+if TYPE_CHECKING:
+    from generator.framework import Run
+    from vascval.core.tree import Tree
+
+
+@click.command(
+    short_help="Grow a tree",
+    epilog="""\b
+Examples:
+  vascval generate karch-box -o tree.vtp --set n_terminals=500
+  vascval generate portal-vein -o portal.vtp --set seed=7 --json portal.json
+  vascval generate portal-vein -o tree.vtp --set domain.file=liver.nrrd --set root_mm=-12,40,88
+  vascval generate my.toml -o tree.vtp
+
+\b
+Presets: karch-box (the benchmark box) and portal-vein (a liver-like shape of 1,500 cm^3).
+Ctrl-C writes what has grown so far.
+""",
+)
+@click.argument("config", metavar="PRESET_OR_TOML")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="TREE.vtp",
+    help="The tree; a name in .swc writes SWC instead.",
+)  # fmt: skip
+@click.option(
+    "--set", "changes", multiple=True, metavar="KEY=VALUE",
+    help="Change a key of the configuration, such as n_terminals=500 or domain.box_mm=90,70,16; may be repeated.",
+)  # fmt: skip
+@json_option
+def generate(config: str, output: Path, changes: tuple[str, ...], json_file: str | None) -> None:
+    """Grow a tree by constrained constructive optimisation: least volume at given flow and pressures.
+
+    The tree holds Poiseuille's and Murray's laws, equal flow and equal pressure at all terminals. The same
+    configuration and seed give the same tree.
+    """
+    if output.suffix.lower() not in (".vtp", ".swc"):
+        raise click.BadParameter(f"{output} ends in neither .vtp nor .swc", param_hint="-o")
+    sources.check_file(output, [])
+    sources.check_json(json_file)
+    from generator.config import load
+    from generator.framework import Run
+    from vascval.io.provenance import provenance
+    from vascval.io.trees import write_tree
+
+    run = Run.of(load(config, changes))
+    for sentence in run.domain.notes:
+        note(sentence)
+    origin = provenance(
+        command="generate", config=run.config.model_dump(mode="json"), seed=run.config.seed, inputs=run.inputs()
+    )
+    interrupted = _grow(run)
+    tree = run.tree()
+    write_tree(tree, output, provenance=origin)
+    document = _document(run, tree)
+    if json_file != "-":
+        say(table([["", "value"], *([name, _shown(document[name])] for name in _SHOWN)]))
+        say(f"\ntree: {output}")
+    if json_file is not None:
+        write_json({**document, "provenance": origin}, json_file)
+    if interrupted is not None:
+        note(f"interrupted at {document['n_terminals']:,} terminals; they are in {output}")
+        raise interrupted
+
+
+def _grow(run: Run) -> KeyboardInterrupt | None:
+    """Runs all stages; an interruption ends them once something has grown, and is returned."""
+    with progress() as observer:
+        try:
+            for name, step in run.steps():
+                if observer is not None:
+                    observer(name, step.n_terminals, step.n_target)
+        except KeyboardInterrupt as interruption:
+            if run.growth.n_grown < max(1, len(run.growth.root_tree.open_nodes)):
+                raise
+            return interruption
+    return None
+
+
+_SHOWN = ("n_terminals", "n_segments", "n_trifurcations", "volume_mm3", "evenness", "seconds", "peak_memory_mb")
+
+
+def _shown(value: Any) -> str:
+    return f"{value:,}" if isinstance(value, int) else f"{value:,.2f}"
+
+
+def _document(run: Run, tree: Tree) -> dict[str, Any]:
+    from generator.growth.evenness import evenness
+
+    children = tree.topology.n_children
+    return {
+        "volume_mm3": tree.volume_mm3,
+        "n_terminals": tree.topology.n_terminals,
+        "n_segments": tree.n_segments,
+        "n_trifurcations": int((children[1:] >= 3).sum()),
+        "seed": run.config.seed,
+        "peak_memory_mb": _peak_memory_mb(),
+        "evenness": evenness(run.domain, tree.position_mm[tree.topology.terminals]),
+        "seconds": sum(stage.seconds for stage in run.stages),
+        "stages": [
+            {"name": stage.name, "seconds": stage.seconds, "volume_mm3": stage.volume_mm3} for stage in run.stages
+        ],
+    }
+
+
+def _peak_memory_mb() -> float:
+    """Largest memory of this process so far."""
+    import resource
+    import sys
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
