@@ -1,7 +1,10 @@
 """What the commands promise: names of files and keys, what goes to stdout, and nothing twice or by halves."""
 
 import json
+import os
 import re
+import subprocess
+import sys
 
 import jsonschema
 import numpy as np
@@ -57,6 +60,33 @@ def test_skeletonize(tmp_path, cast_file, tree, capsys):
     assert document["source"] == "cast.nrrd"
     assert set(document["image"]) >= IMAGE
     assert document["image"]["n_components"] == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+@pytest.mark.parametrize("quiet", [False, True])
+def test_progress_is_drawn_on_a_terminal_only(quiet, tmp_path, cast_file):
+    command = [sys.executable, "-m", "vascval.cli", "skeletonize", str(cast_file), "-o", str(tmp_path / "cast.vtp")]
+    ours, theirs = os.openpty()
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+    process = subprocess.Popen(
+        [*command, *(["--quiet"] if quiet else [])], stdout=subprocess.PIPE, stderr=theirs, text=True, env=environment
+    )
+    os.close(theirs)
+    drawn = b""
+    while True:
+        try:
+            piece = os.read(ours, 65536)
+        except OSError:  # how Linux says that the other side has closed
+            break
+        if not piece:
+            break
+        drawn += piece
+    out, _ = process.communicate()
+    os.close(ours)
+    assert process.returncode == 0
+    assert out.startswith("selected")
+    assert out.isascii()
+    assert (drawn == b"") == quiet
 
 
 def test_skeletonize_to_swc_from_a_label(tmp_path, mask, capsys):

@@ -18,7 +18,7 @@ from vascval.cli.main import cli, main
 from vascval.cli.options import Memory, Numbers, Threshold
 from vascval.core.errors import ComputationError, InputError
 
-COMMANDS = ["demo", "compare", "skeletonize", "analyze", "view", "schema"]
+COMMANDS = ["demo", "compare", "skeletonize", "analyze", "generate", "view", "schema"]
 VASCVAL = [sys.executable, "-m", "vascval.cli"]
 
 
@@ -235,5 +235,5 @@ def test_signals(number, code, tmp_path):
     os.kill(process.pid, number)
     _, err = process.communicate(timeout=20)
     assert process.returncode == code
-    assert err == "vascval: interrupted; no unfinished file was left behind\n"
+    assert err == "vascval: interrupted; no unfinished file is left behind\n"
     assert list(tmp_path.iterdir()) == []

@@ -41,21 +41,31 @@ def say(text: str) -> None:
 
 @contextmanager
 def progress() -> Iterator[Observer | None]:
-    """An observer that draws a bar for each stage; ``None`` with ``--quiet`` and where stderr is no terminal."""
+    """An observer that draws a bar for the stage at work; ``None`` with ``--quiet`` and where stderr is no terminal."""
     if _state().quiet or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
-        tasks: dict[str, TaskID] = {}
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}")]
+    times = [TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()]
+    with Progress(*columns, *times, console=Console(stderr=True), transient=True) as bars:
+        task = bars.add_task("", total=None, rate="")
 
         def observe(stage: str, done: float, total: float) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)
+            if stage != bars.tasks[0].description:
+                bars.reset(task, description=stage, total=total, rate="")
+            speed = bars.tasks[0].speed
+            rate = "" if not speed or total <= 100 else f"{speed:,.0f}/s"
+            bars.update(task, completed=done, total=total, rate=rate)
 
         yield observe
 

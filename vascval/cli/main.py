@@ -22,7 +22,7 @@ from vascval.core.errors import VascvalError
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
-_COMMANDS = ("demo", "compare", "skeletonize", "analyze", "view", "schema")
+_COMMANDS = ("demo", "compare", "skeletonize", "analyze", "generate", "view", "schema")
 
 
 class _Commands(click.Group):
@@ -127,7 +127,7 @@ def _termination() -> Iterator[None]:
 def _ending(error: BaseException) -> int:
     """Prints the one line that an error deserves and returns the exit code."""
     if isinstance(error, KeyboardInterrupt):
-        _complain("interrupted; no unfinished file was left behind")
+        _complain("interrupted; no unfinished file is left behind")
         return getattr(error, "exit_code", INTERRUPTED)
     if isinstance(error, VascvalError):
         _complain(f"error: {error}")

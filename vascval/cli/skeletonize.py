@@ -45,13 +45,12 @@ def skeletonize(volume: Path, output: Path, selection: Selection, json_file: str
     sources.check_file(output, [volume])
     sources.check_json(json_file, [volume])
     from vascval.io.provenance import provenance
-    from vascval.io.trees import write_swc, write_vtp
+    from vascval.io.trees import write_tree
 
     origin = provenance(command="skeletonize", config=selection.config(), seed=None, inputs=[volume])
     with progress() as observer:
         skeleton = sources.skeletonize(volume, selection, observer)
-    write = write_swc if output.suffix.lower() == ".swc" else write_vtp
-    write(skeleton.tree, output, provenance=origin)
+    write_tree(skeleton.tree, output, provenance=origin)
     document = {
         "source": volume.name,
         "n_terminals": skeleton.tree.topology.n_terminals,
