@@ -11,9 +11,10 @@ from random_trees import generations, trees
 from scipy.spatial import cKDTree
 
 from vascval.comparison.distributions import _row
-from vascval.comparison.location import LocationRule, locate, sample_centrelines
+from vascval.comparison.location import CHANCE_POINTS, LocationRule, locate, sample_centrelines
 from vascval.comparison.territories import _overlap, territories
 from vascval.core.ordering import generation
+from vascval.core.tree import Topology, Tree
 from vascval.morphometry.hull import convex_hull, grid_inside
 
 few = settings(max_examples=40, deadline=None, derandomize=True)
@@ -89,6 +90,31 @@ def test_location_by_its_definition(cast, tree, window, tolerance):
     while down_to < len(shares) and shares[down_to] >= 0.5:
         down_to += 1
     assert result.matched_down_to_generation == down_to
+
+
+@pytest.mark.parametrize("window", [0, 1])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_chance_by_its_definition(seed, window):
+    rng = np.random.default_rng(seed)
+    parent = np.array([-1, 0, *np.repeat(np.arange(1, 16), 2)])
+    cast, tree = (
+        with_generations(Tree(Topology(parent), rng.normal(size=(32, 3)), rng.uniform(0.05, 0.4, 32))) for _ in "ab"
+    )
+    tissue = grid_inside(*(convex_hull(side.position_mm) for side in (cast, tree)), n_points=CHANCE_POINTS)
+    table = locate(cast, tree, LocationRule(0.5, 0.2, window, 0.5)).generations
+    of_cast, of_tree = generations(cast), generations(tree)
+    assert len(tissue) > 1000 and table["generation"].tolist() == [1, 2, 3, 4, 5]
+    for row in table.to_dict("records"):
+        near = np.full(len(tissue), np.inf)
+        for i in range(1, 32):
+            if abs(of_tree[i] - row["generation"]) <= window:
+                begin, step = tree.position_mm[parent[i]], tree.position_mm[i] - tree.position_mm[parent[i]]
+                t = np.clip((tissue - begin) @ step / (step @ step), 0, 1)[:, None]
+                near = np.minimum(near, np.linalg.norm(tissue - begin - t * step, axis=1))
+        here = [i for i in range(1, 32) if of_cast[i] == row["generation"]]
+        share = [(near <= max(0.2, cast.radius_mm[i])).mean() for i in here]
+        # a point or two of some thousand may lie within round-off of the tolerance
+        assert row["cast_chance_share"] == pytest.approx(np.average(share, weights=cast.length_mm[here]), abs=1e-3)
 
 
 @few

@@ -10,6 +10,7 @@ from vascval.core.tree import Topology, Tree
 from vascval.morphometry import Monopodial, analyze
 from vascval.morphometry import analysis as analysis_module
 from vascval.morphometry.coverage import coverage
+from vascval.morphometry.hull import Hull, grid_inside
 from vascval.morphometry.overlaps import overlapping_pairs
 from vascval.morphometry.preparation import prepare
 
@@ -86,6 +87,15 @@ def test_a_child_as_thick_as_its_parent_leaves_no_murray_exponent():
     row = analyze(tree, source="x").junctions.iloc[0]
     assert math.isnan(row["murray_exponent"])
     assert row["murray_reason"] == "child-not-thinner"
+
+
+@pytest.mark.parametrize("straighter", [1, -1])
+def test_of_equal_children_the_straighter_one_goes_on(straighter):
+    ends = [np.array([50, 0, 0]) + 40 * in_plane(angle_deg) for angle_deg in (10, -40)]
+    tree = build([(0, (50, 0, 0), 1.0), *[(1, end, 0.8) for end in ends[::straighter]]])
+    row = analyze(tree, source="x").junctions.iloc[0]
+    assert row["angle_thickest_deg"] == pytest.approx(10, abs=1e-10)
+    assert row["angle_thinnest_deg"] == pytest.approx(40, abs=1e-10)
 
 
 def side_branch(ratio, angle_deg, straight_deg):
@@ -361,6 +371,24 @@ def test_coverage_of_a_lattice_of_terminals():
     assert given is not None
     assert given["distance_max_mm"] == pytest.approx(5 * math.sqrt(3), rel=1e-14)
     assert (given["domain"], given["volume_mm3"], given["evenness"]) == ("given points", None, None)
+
+
+def unit_box(low):
+    """A cube of side 1 along the axes, by its facets."""
+    facets = [[*axis, -corner - 1] for axis, corner in zip(np.eye(3), low)]
+    facets += [[*-axis, corner] for axis, corner in zip(np.eye(3), low)]
+    return Hull(1.0, np.array(facets), np.eye(3), np.asarray(low, float), np.asarray(low, float) + 1)
+
+
+def test_grid_is_clipped_by_facets_along_its_lines():
+    alone = grid_inside(unit_box((0, 0, 0)), n_points=1000)
+    assert len(alone) == 1000
+    assert alone.min(axis=0) == pytest.approx([0.05] * 3) and alone.max(axis=0) == pytest.approx([0.95] * 3)
+    both = grid_inside(unit_box((0, 0, 0)), unit_box((0.5, 0.7, -0.2)), n_points=1000)
+    assert len(both) == 5 * 3 * 8
+    assert both.min(axis=0) == pytest.approx([0.55, 0.75, 0.05])
+    assert both.max(axis=0) == pytest.approx([0.95, 0.95, 0.75])
+    assert len(grid_inside(unit_box((0, 0, 0)), unit_box((2, 0, 0)), n_points=1000)) == 0
 
 
 def test_tissue_points_of_a_wrong_shape_are_refused():

@@ -1,0 +1,181 @@
+"""The compiled passes over sparse voxels against slow or library twins on dense arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+from skimage.measure import euler_number
+
+from vascval.imaging import _geodesic_kernels, _thinning_kernels, graph, runs, voxels
+from vascval.imaging.distance import distance_map
+from vascval.imaging.thinning import thin
+
+EVERY_NEIGHBOUR = np.ones((3, 3, 3))
+SPACING = np.array([0.5, 0.7, 1.6])
+
+
+def random_mask(seed: int, share: float, smooth: float = 1.0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    shape = tuple(rng.integers(4, 17, size=3))
+    field = ndimage.gaussian_filter(rng.normal(size=shape), smooth)
+    mask = field >= np.quantile(field, 1 - share)
+    mask[tuple(size // 2 for size in shape)] = True
+    return mask
+
+
+def as_runs(mask: np.ndarray) -> runs.Runs:
+    return runs.from_slabs(mask.shape, lambda z: mask[z])
+
+
+def as_mask(code: runs.Runs) -> np.ndarray:
+    return np.array(list(code.slabs()))
+
+
+def step_lengths(spacing: np.ndarray) -> np.ndarray:
+    code = np.arange(27)
+    offset = np.stack((code % 3 - 1, code // 3 % 3 - 1, code // 9 - 1), axis=1)
+    return np.sqrt(((offset * spacing) ** 2).sum(axis=1))
+
+
+masks = st.builds(random_mask, st.integers(0, 10**6), st.floats(0.02, 0.9), st.sampled_from([0.0, 0.7, 1.5]))
+
+
+@settings(deadline=None, max_examples=60)
+@given(masks)
+def test_runs_components_and_cavities_are_those_of_the_dense_mask(mask: np.ndarray) -> None:
+    code = as_runs(mask)
+    assert np.array_equal(as_mask(code), mask)
+    labels, n = ndimage.label(mask, EVERY_NEIGHBOUR)
+    parts = runs.components(code)
+    assert parts.size_voxels.tolist() == sorted(np.bincount(labels.ravel())[1:].tolist(), reverse=True)
+    assert n == parts.size_voxels.size
+    largest = as_mask(runs.keep(code, parts.label == 0))
+    assert np.unique(labels[largest]).size == 1
+    filled, n_cavities, n_filled = runs.fill_cavities(code)
+    expected = ndimage.binary_fill_holes(mask)
+    assert np.array_equal(as_mask(filled), expected)
+    assert n_filled == expected.sum() - mask.sum()
+    assert n_cavities == ndimage.label(expected & ~mask)[1]
+
+
+@settings(deadline=None, max_examples=40)
+@given(masks, st.integers(0, 10**6))
+def test_union_and_single_voxels(mask: np.ndarray, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    index = rng.integers(-1, np.array(mask.shape)[::-1] + 1, size=(30, 3))
+    inside = ((index >= 0) & (index < np.array(mask.shape)[::-1])).all(axis=1)
+    more = np.zeros_like(mask)
+    more[tuple(index[inside].T[::-1])] = True
+    single = runs.from_voxels(mask.shape, index)
+    assert np.array_equal(as_mask(single), more)
+    assert np.array_equal(as_mask(runs.union(as_runs(mask), single)), mask | more)
+
+
+@settings(deadline=None, max_examples=60)
+@given(masks)
+def test_distance_map_is_exact(mask: np.ndarray) -> None:
+    listed = voxels.from_runs(as_runs(mask), SPACING)
+    found = distance_map(listed)
+    background = np.argwhere(~mask)[:, ::-1] * SPACING
+    if background.size == 0:
+        assert np.isinf(found).all()
+        return
+    expected, _ = cKDTree(background).query(listed.index_xyz() * SPACING)
+    assert np.abs(found - expected).max() < 1e-12 * expected.max() + 1e-12  # rounding of a sum of three squares
+
+
+@settings(deadline=None, max_examples=40)
+@given(masks)
+def test_neighbours_and_geodesic_distance_are_those_of_the_voxel_graph(mask: np.ndarray) -> None:
+    listed = voxels.from_runs(as_runs(mask), SPACING)
+    at = listed.index_xyz()
+    number = np.full(mask.shape, -1)
+    number[mask] = np.arange(listed.n)
+    assert np.array_equal(listed.find(at), np.arange(listed.n))
+    pairs, lengths = [], []
+    step = step_lengths(SPACING)
+    out, code = np.empty(26, np.int64), np.empty(26, np.int64)
+    for i in range(listed.n):
+        m = _geodesic_kernels.neighbours(i, listed.x, listed.row, listed.first, mask.shape[1], out, code)
+        near = np.abs(at - at[i]).max(axis=1) == 1
+        assert sorted(out[:m].tolist()) == np.flatnonzero(near).tolist()
+        pairs += [(i, j) for j in out[:m].tolist()]
+        lengths += step[code[:m]].tolist()
+    way = _geodesic_kernels.geodesic(0, listed.x, listed.row, listed.first, mask.shape[1], step)
+    if not pairs:
+        assert way.tolist()[0] == 0.0
+        return
+    row, column = np.array(pairs).T
+    table = coo_matrix((lengths, (row, column)), shape=(listed.n, listed.n)).tocsr()
+    expected = dijkstra(table, indices=0)
+    reached = np.isfinite(expected)
+    assert np.array_equal(np.isfinite(way), reached)
+    assert np.abs(way[reached] - expected[reached]).max() < 1e-9  # sums of the same steps in another order
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.integers(0, 2**26 - 1))
+def test_simple_voxels_are_those_whose_removal_keeps_the_topology(bits: int) -> None:
+    """A voxel is simple if parts, tunnels and cavities are the same without it: Euler numbers and labels of 3 x 3 x 3."""
+    mask = 0
+    block = np.zeros((5, 5, 5), dtype=bool)
+    for k, code in enumerate(c for c in range(27) if c != 13):
+        if bits >> k & 1:
+            mask |= 1 << code
+            block[1 + code // 9, 1 + code // 3 % 3, 1 + code % 3] = True
+    without, with_it = block.copy(), block.copy()
+    with_it[2, 2, 2] = True
+
+    def shape(image: np.ndarray) -> tuple[int, int, int]:
+        return (
+            ndimage.label(image, EVERY_NEIGHBOUR)[1],
+            ndimage.label(~image)[1],
+            euler_number(image, connectivity=3),
+        )
+
+    near26, near6 = _thinning_kernels.adjacency_masks()
+    assert _thinning_kernels.is_simple(mask, near26, near6) == (shape(without) == shape(with_it))
+
+
+@settings(deadline=None, max_examples=60)
+@given(masks)
+def test_thinning_keeps_the_topology_and_loops_are_counted_right(mask: np.ndarray) -> None:
+    code = as_runs(mask)
+    code = runs.keep(code, runs.components(code).label == 0)
+    code, _, _ = runs.fill_cavities(code)
+    listed = voxels.from_runs(code, np.ones(3))
+    thickness = distance_map(listed)
+    left = thin(listed, thickness, np.array([0, listed.n - 1]))
+    assert left[0] and left[-1]
+    skeleton = np.zeros(mask.shape, dtype=bool)
+    skeleton[tuple(listed.index_xyz(np.flatnonzero(left)).T[::-1])] = True
+    padded = np.pad(as_mask(code), 1)
+    euler = euler_number(padded, connectivity=3)
+    assert euler_number(np.pad(skeleton, 1), connectivity=3) == euler
+    assert ndimage.label(skeleton, EVERY_NEIGHBOUR)[1] == 1
+    joined = graph.spanning_skeleton(listed, left, np.where(np.isfinite(thickness), thickness, 1.0))
+    # in one piece without cavities the Euler number is 1 - number of tunnels
+    assert len(joined.cuts) == 1 - euler
+    assert len(joined.edges) == left.sum() - 1
+
+
+def test_persistence_of_maxima_by_hand() -> None:
+    mask = np.zeros((3, 12, 30), dtype=bool)
+    mask[1, 2, 2:28] = True  # a trunk along x
+    mask[1, 2:9, 15] = True  # a side branch of 6
+    listed = voxels.from_runs(as_runs(mask), np.ones(3))
+    way = listed.x.astype(np.float64) + listed.row % 12
+    order = np.argsort(-way, kind="stable")
+    walk = (listed.x, listed.row, listed.first, 12)
+    tip, saddle, _ = _geodesic_kernels.maxima(order, way, np.ones(listed.n), *walk)
+    found = {tuple(listed.index_xyz(t)): (way[t] - way[s] if s >= 0 else np.inf) for t, s in zip(tip, saddle)}
+    assert set(found) == {(27, 2, 1), (15, 8, 1)}
+    assert found[27, 2, 1] == np.inf
+    # the side branch touches the trunk corner to corner at (16, 2, 1), of way 18
+    assert found[15, 8, 1] == pytest.approx(23 - 18)
