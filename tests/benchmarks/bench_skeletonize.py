@@ -22,11 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from tests.benchmarks.phantoms import KINDS, grow, phantom
-from tests.benchmarks.score import Score, score
 from vascval.core.tree import Topology, Tree
 from vascval.imaging.rasterize import rasterize
 from vascval.io.volumes import Volume, read_volume, write_volume
+
+from .phantoms import KINDS, grow, phantom
+from .score import score
 
 NEEDS = {"vascval": "vascval.imaging", "skan": "skan"}
 ROOT = Path(__file__).parents[2]
@@ -102,7 +103,7 @@ def peak_memory_mib() -> float:
 def skeletonise(tool: str, volume: Volume, root_mm: np.ndarray | None) -> tuple[Tree, dict[str, Any]]:
     """Tree and record by the named tool; ours finds the root by itself when none is given."""
     if tool == "skan":
-        from tests.benchmarks.rivals import skan_tree
+        from .rivals import skan_tree
 
         return skan_tree(volume, volume.origin_mm if root_mm is None else root_mm)
     from vascval.imaging import skeletonize
@@ -124,15 +125,8 @@ def compare_tools(tools: Sequence[str], options: argparse.Namespace, folder: Pat
                 result = run(tool, path, root)
                 points = score(result.tree, made.truth, 1.0, image=result.image)
                 drawn = score(result.tree, made.drawn, 1.0).radius_error
-                cost = {"wall_s": result.wall_s, "cpu_s": result.cpu_s, "peak_memory_mib": result.peak_memory_mib}
-                row = {
-                    "kind": kind,
-                    "seed": seed,
-                    "tool": tool,
-                    **cost,
-                    **points.as_dict(),
-                    "radius_error_drawn": drawn,
-                }
+                row = {"kind": kind, "seed": seed, "tool": tool, **points.as_dict(), "radius_error_drawn": drawn}
+                row |= {"wall_s": result.wall_s, "cpu_s": result.cpu_s, "peak_memory_mib": result.peak_memory_mib}
                 rows.append(row)
                 print(_line(row, result.image), flush=True)
             path.unlink()
@@ -140,8 +134,9 @@ def compare_tools(tools: Sequence[str], options: argparse.Namespace, folder: Pat
 
 
 HEADER = (
-    "| kind | seed | tool | tips found | false | loops | radius error (bias; as drawn) | length bias (total) | off axis | "
-    "junctions found / false | trifurcations found / false | elements per order (deviation) | wall | CPU | memory |\n"
+    "| kind | seed | tool | tips found | false | loops | radius error (bias; as drawn) | length bias (total) | "
+    "off axis | junctions found / false | trifurcations found / false | elements per order (deviation) | "
+    "wall | CPU | memory |\n"
     + "|---" * 15
     + "|"
 )

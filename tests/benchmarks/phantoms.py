@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tests.benchmarks import _growth_kernels as kernels
 from vascval.core.errors import ComputationError
 from vascval.core.ordering import root_first
 from vascval.core.tree import Topology, Tree
 from vascval.imaging.rasterize import rasterize, wall_distance
 from vascval.io.volumes import Volume
+
+from . import _growth_kernels as kernels
 
 KINDS = ("smooth", "trifurcating", "anisotropic", "rough")
 
@@ -120,7 +121,7 @@ def rough_image(
 
 
 def drawn_radius(tree: Tree, noise: np.ndarray, wall: np.ndarray, *, n_around: int = 24) -> np.ndarray:
-    """(N,) radius of equal cross-section of each segment whose wall ``noise`` displaces, both (z, y, x) with 1 mm voxels.
+    """(N,) radius of equal cross-section of each segment after ``noise`` has displaced its ``wall`` (z, y, x; 1 mm).
 
     From every half millimetre of centreline, rays go out to where ``distance + noise`` is 0, by fixed-point iteration.
     Rays that end within another tube count for nothing; a segment without any keeps its radius.

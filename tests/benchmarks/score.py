@@ -16,10 +16,11 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from tests.benchmarks.phantoms import resampled
 from vascval.core.contraction import contract_degenerate
 from vascval.core.ordering import element, strahler_order
 from vascval.core.tree import Tree
+
+from .phantoms import resampled
 
 TOLERANCE_VOXELS = 5.0
 """A found tip belongs to a true tip when it is no farther from it than this."""

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.benchmarks.phantoms import Phantom
 from vascval.core.tree import Topology, Tree
 from vascval.imaging.rasterize import rasterize, wall_distance
 from vascval.io.volumes import Volume
+
+from .phantoms import Phantom
 
 ERASED_BARS = ((2, 2), (2, 4), (3, 6), (4, 3), (4, 4), (4, 6), (6, 2), (6, 3), (6, 6))
 """Cross-sections of straight bars that thinning after Lee in scikit-image 0.26.0 erases."""

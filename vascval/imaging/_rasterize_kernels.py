@@ -37,29 +37,26 @@ def _span(a, b, reach, origin, spacing, offset, size):
     return max(0, first), min(size - 1, last)
 
 
-@njit
-def _rows(shape, start, end, reach, origin, spacing, offset):
-    """Yield (k, j, first i, last i): the rows of the block that come within ``reach`` of one piece.
+@njit(inline="always")
+def _slab(k, start, end, reach, origin, spacing, offset, ny):
+    """Rows of slab ``k`` that come within ``reach`` of a piece, and the stretch of the piece (parameters) that matters.
 
     A point within reach has its foot on the piece where every single coordinate differs by at most the reach, so
     that slab by slab and row by row only a stretch of the piece counts.
     """
-    dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
-    reach = reach * SLACK
-    first_k, last_k = _span(start[2], end[2], reach, origin[2], spacing[2], offset[2], shape[0])
-    for k in range(first_k, last_k + 1):
-        a, b = _clip(0.0, 1.0, start[2], dz, origin[2] + (k + offset[2]) * spacing[2], reach)
-        if a > b:
-            continue
-        near, far = start[1] + a * dy, start[1] + b * dy
-        first_j, last_j = _span(near, far, reach, origin[1], spacing[1], offset[1], shape[1])
-        for j in range(first_j, last_j + 1):
-            c, d = _clip(a, b, start[1], dy, origin[1] + (j + offset[1]) * spacing[1], reach)
-            if c > d:
-                continue
-            near, far = start[0] + c * dx, start[0] + d * dx
-            first_i, last_i = _span(near, far, reach, origin[0], spacing[0], offset[0], shape[2])
-            yield k, j, first_i, last_i
+    dy, dz = end[1] - start[1], end[2] - start[2]
+    a, b = _clip(0.0, 1.0, start[2], dz, origin[2] + (k + offset[2]) * spacing[2], reach)
+    first, last = _span(start[1] + a * dy, start[1] + b * dy, reach, origin[1], spacing[1], offset[1], ny)
+    return a, b, first, (last if a <= b else -1)
+
+
+@njit(inline="always")
+def _row(j, a, b, start, end, reach, origin, spacing, offset, nx):
+    """First and last voxel of row ``j`` that come within ``reach`` of the stretch a to b of a piece."""
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    c, d = _clip(a, b, start[1], dy, origin[1] + (j + offset[1]) * spacing[1], reach)
+    first, last = _span(start[0] + c * dx, start[0] + d * dx, reach, origin[0], spacing[0], offset[0], nx)
+    return first, (last if c <= d else -1)
 
 
 @njit(inline="always")
@@ -77,34 +74,41 @@ def _square_distance(x, y, z, dx, dy, dz, square):
 @njit
 def mark(values, start, end, radius, origin, spacing, offset):
     """Set to 1 the voxels of the block whose centre lies within ``radius`` of its piece."""
+    nz, ny, nx = values.shape
     for piece in range(radius.size):
-        x0, y0, z0 = start[piece]
-        dx, dy, dz = end[piece] - start[piece]
-        square = dx * dx + dy * dy + dz * dz
-        limit = radius[piece] * radius[piece]
-        rows = _rows(values.shape, start[piece], end[piece], radius[piece], origin, spacing, offset)
-        for k, j, first, last in rows:
-            z = origin[2] + (k + offset[2]) * spacing[2] - z0
-            y = origin[1] + (j + offset[1]) * spacing[1] - y0
-            for i in range(first, last + 1):
-                x = origin[0] + (i + offset[0]) * spacing[0] - x0
-                if _square_distance(x, y, z, dx, dy, dz, square) <= limit:
-                    values[k, j, i] = 1
+        p, q, r = start[piece], end[piece], radius[piece] * SLACK
+        dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+        square, limit = dx * dx + dy * dy + dz * dz, radius[piece] * radius[piece]
+        first_k, last_k = _span(p[2], q[2], r, origin[2], spacing[2], offset[2], nz)
+        for k in range(first_k, last_k + 1):
+            z = origin[2] + (k + offset[2]) * spacing[2] - p[2]
+            a, b, first_j, last_j = _slab(k, p, q, r, origin, spacing, offset, ny)
+            for j in range(first_j, last_j + 1):
+                y = origin[1] + (j + offset[1]) * spacing[1] - p[1]
+                first, last = _row(j, a, b, p, q, r, origin, spacing, offset, nx)
+                for i in range(first, last + 1):
+                    x = origin[0] + (i + offset[0]) * spacing[0] - p[0]
+                    if _square_distance(x, y, z, dx, dy, dz, square) <= limit:
+                        values[k, j, i] = 1
 
 
 @njit
 def lower_distance(values, start, end, radius, origin, spacing, offset, band):
     """Lower the block to the distance from the nearest tube wall, negative inside, wherever that is below ``band``."""
+    nz, ny, nx = values.shape
     for piece in range(radius.size):
-        x0, y0, z0 = start[piece]
-        dx, dy, dz = end[piece] - start[piece]
+        p, q, r = start[piece], end[piece], (radius[piece] + band) * SLACK
+        dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
         square = dx * dx + dy * dy + dz * dz
-        rows = _rows(values.shape, start[piece], end[piece], radius[piece] + band, origin, spacing, offset)
-        for k, j, first, last in rows:
-            z = origin[2] + (k + offset[2]) * spacing[2] - z0
-            y = origin[1] + (j + offset[1]) * spacing[1] - y0
-            for i in range(first, last + 1):
-                x = origin[0] + (i + offset[0]) * spacing[0] - x0
-                wall = math.sqrt(_square_distance(x, y, z, dx, dy, dz, square)) - radius[piece]
-                if wall < values[k, j, i]:
-                    values[k, j, i] = np.float32(wall)
+        first_k, last_k = _span(p[2], q[2], r, origin[2], spacing[2], offset[2], nz)
+        for k in range(first_k, last_k + 1):
+            z = origin[2] + (k + offset[2]) * spacing[2] - p[2]
+            a, b, first_j, last_j = _slab(k, p, q, r, origin, spacing, offset, ny)
+            for j in range(first_j, last_j + 1):
+                y = origin[1] + (j + offset[1]) * spacing[1] - p[1]
+                first, last = _row(j, a, b, p, q, r, origin, spacing, offset, nx)
+                for i in range(first, last + 1):
+                    x = origin[0] + (i + offset[0]) * spacing[0] - p[0]
+                    wall = math.sqrt(_square_distance(x, y, z, dx, dy, dz, square)) - radius[piece]
+                    if wall < values[k, j, i]:
+                        values[k, j, i] = np.float32(wall)
