@@ -144,7 +144,7 @@ def test_legacy_counts_beyond_the_file(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], old: str, new: str
 ) -> None:
     (tmp_path / "a.vtk").write_text(LEGACY.replace(old, new))
-    refused(tmp_path / "a.vtk", capfd, "bytes; it is damaged")
+    refused(tmp_path / "a.vtk", capfd, r"bytes\); it is truncated or damaged")
 
 
 @pytest.mark.parametrize("where", ["points", "lines"])
