@@ -136,9 +136,7 @@ def compare_tools(tools: Sequence[str], options: argparse.Namespace, folder: Pat
 HEADER = (
     "| kind | seed | tool | tips found | false | loops | radius error (bias; as drawn) | length bias (total) | "
     "off axis | junctions found / false | trifurcations found / false | elements per order (deviation) | "
-    "wall | CPU | memory |\n"
-    + "|---" * 15
-    + "|"
+    "wall | CPU | memory |\n" + "|---" * 15 + "|"
 )
 
 

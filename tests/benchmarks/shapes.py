@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vascval.core.errors import ComputationError
 from vascval.core.tree import Topology, Tree
 from vascval.imaging.rasterize import rasterize, wall_distance
 from vascval.io.volumes import Volume
@@ -68,7 +69,9 @@ def with_islands(phantom: Phantom, rng: np.random.Generator, *, n: int = 5, clea
     wall = wall_distance(phantom.truth, band_mm=clearance_mm + 12.0, **grid).values
     size = np.array(values.shape[::-1])
     islands: list[np.ndarray] = []
-    while len(islands) < n:
+    for _ in range(10000):
+        if len(islands) == n:
+            return replace(phantom, name=f"{phantom.name}-islands", volume=replace(phantom.volume, values=values))
         middle = rng.uniform(10.0, size * phantom.volume.spacing_mm - 10.0)
         i, j, k = np.floor(phantom.volume.to_index(middle + phantom.volume.origin_mm)).astype(int)
         if wall[k, j, i] > clearance_mm + 8.0 and all(np.linalg.norm(middle - other) > 25.0 for other in islands):
@@ -76,7 +79,7 @@ def with_islands(phantom: Phantom, rng: np.random.Generator, *, n: int = 5, clea
             ends = phantom.volume.origin_mm + middle + np.array([[-5.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
             island = Tree(Topology(np.array([-1, 0])), ends, np.array([2.0, 2.0]))
             values |= rasterize(island, **grid).values
-    return replace(phantom, name=f"{phantom.name}-islands", volume=replace(phantom.volume, values=values))
+    raise ComputationError(f"no room for {n} islands beside the vessels of {phantom.name}")
 
 
 def hollow(phantom: Phantom, *, wall_mm: float = 1.5) -> Phantom:
