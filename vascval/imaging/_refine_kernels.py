@@ -62,15 +62,22 @@ def centroids(station, n_stations, x, row, ny, spacing):
 
 
 @njit
-def section_sums(station, along, branch, position, tangent, arc, core, low, high, ramp, x, row, ny, spacing):
-    """For each branch, over the voxels between ``low`` and ``high``: the tapered sums that give its mean radius.
+def inverse_distance(dx, dy, dz, tangent, core):
+    """``1 / rho`` for the distance rho from a line through the origin; within ``core`` ``(4 - 3 rho / core) / core``,
+    which is continuous and has the same integral over the core's disc, ``2 pi core``."""
+    t = dx * tangent[0] + dy * tangent[1] + dz * tangent[2]
+    rho = np.sqrt(max(0.0, dx * dx + dy * dy + dz * dz - t * t))
+    return (4.0 - 3.0 * rho / core) / core if rho < core else 1.0 / rho
 
-    A voxel at distance rho from the axis counts ``1 / rho``, and within ``core`` ``(4 - 3 rho / core) / core``, which
-    is continuous and has the same integral over the core's disc: ``2 pi core``. See
-    :func:`vascval.imaging.refine.mean_radius`.
+
+@njit
+def section_sums(station, along, branch, position, tangent, low, high, ramp, near, x, row, ny, spacing):
+    """For each branch the sum of ``1 / rho`` over its voxels between ``low`` and ``high``, tapered over ``ramp`` at both
+    ends; see :func:`vascval.imaging.refine._radii`. Voxels within ``near`` of the axis are averaged over 4 x 4 x 4 parts.
     """
-    n_branches = low.size
-    radius_sum = np.zeros(n_branches)
+    radius_sum = np.zeros(low.size)
+    core = 0.25 * spacing.min()
+    parts = (np.arange(4) - 1.5) / 4.0
     for i in range(x.size):
         k = station[i]
         b = branch[k]
@@ -82,12 +89,17 @@ def section_sums(station, along, branch, position, tangent, arc, core, low, high
         dx = x[i] * spacing[0] - position[k, 0]
         dy = (row[i] % ny) * spacing[1] - position[k, 1]
         dz = (row[i] // ny) * spacing[2] - position[k, 2]
-        t = dx * tangent[k, 0] + dy * tangent[k, 1] + dz * tangent[k, 2]
-        rho = np.sqrt(max(0.0, dx * dx + dy * dy + dz * dz - t * t))
-        if rho < core[b]:
-            radius_sum[b] += weight * (4.0 - 3.0 * rho / core[b]) / core[b]
-        else:
-            radius_sum[b] += weight / rho
+        value = inverse_distance(dx, dy, dz, tangent[k], core)
+        if value * near > 1.0:
+            value = 0.0
+            for u in parts:
+                for v in parts:
+                    for w in parts:
+                        value += inverse_distance(
+                            dx + u * spacing[0], dy + v * spacing[1], dz + w * spacing[2], tangent[k], core
+                        )
+            value /= 64.0
+        radius_sum[b] += weight * value
     return radius_sum
 
 
@@ -241,7 +253,7 @@ def end_lines(count, total, offset, arc, low, high, reach, at_end):
 
 
 @njit
-def length_beyond(along, station, branch, limit, sign, width):
+def voxels_beyond(along, station, branch, limit, sign, width):
     """Number of voxels of each branch beyond ``limit`` (at larger arc length for sign 1, smaller for -1), the limit
     being softened over ``width`` mm so that no layer of voxels falls in or out at once."""
     result = np.zeros(limit.size)

@@ -21,7 +21,6 @@ from vascval.imaging.voxels import Voxels
 
 ROUNDS = 3
 SECTION_VOXELS = 1.0
-CORE = 0.6
 SMOOTHING_RADII = 2.0
 MIN_WINDOW = 0.15
 
@@ -231,24 +230,27 @@ def _place_tips(
 ) -> None:
     """Put the ends of terminals and stem where the volume beyond the last full section places them.
 
-    The voxels beyond a section, divided by the cross-section's area, tell how long a flat-ended vessel would go on; a
-    hemisphere that ends a vessel holds two thirds of a radius less than a flat end, and the centreline ends in its
-    centre. A vessel that leaves the volume ends where it leaves.
+    The volume beyond a section, divided by the area of the cross-section before it, tells how long a flat-ended vessel
+    would go on; a hemisphere that ends a vessel holds as much as two thirds of a radius of it, and the centreline ends in
+    its centre. A vessel that leaves the volume ends where it leaves.
     """
     step = SECTION_VOXELS * float(voxels.spacing_mm.min())
     cell = float(np.prod(voxels.spacing_mm))
+    reach = np.maximum(np.minimum(4.0 * radius, high - low), 1e-9)
     for end, of_branch, limit, sign in ((0, nodes.proximal, low, -1), (1, nodes.distal, high, 1)):
         tip = nodes.degree[of_branch] == 1
         signs = np.where(tip, sign, 0)
-        placed = (stations.along, stations.of_voxel, stations.branch, limit, signs)
-        voxel_count = kernels.length_beyond(*placed, 2.0 * step)
+        voxel_of = (stations.along, stations.of_voxel, stations.branch)
+        beyond = kernels.voxels_beyond(*voxel_of, limit, signs, 2.0 * step) * cell
+        area = kernels.voxels_beyond(*voxel_of, limit - sign * reach, signs, 2.0 * step) * cell - beyond
+        area = np.where(area > 0, area / reach, np.pi * radius**2)
         nz, ny, nx = voxels.shape
-        cut = kernels.reaches_border(*placed, voxels.x, voxels.row, ny, nx, nz)
-        beyond = voxel_count * cell / (np.pi * radius**2) - np.where(cut, 0.0, 2.0 * radius / 3.0)
-        for b in np.flatnonzero(tip & (lines.weight[:, end] > 0)):
+        cut = kernels.reaches_border(*voxel_of, limit, signs, voxels.x, voxels.row, ny, nx, nz)
+        further = beyond / area - np.where(cut, 0.0, 2.0 * np.sqrt(area / np.pi) / 3.0)
+        for b in np.flatnonzero(tip & (lines.weight[:, end] > 0)).tolist():
             direction, centre = lines.direction[b, end], lines.centre[b, end]
             section = _point_at(stations, b, limit[b])
-            along = ((section - centre) * direction).sum() + sign * max(0.0, beyond[b])
+            along = ((section - centre) * direction).sum() + sign * max(0.0, further[b])
             node[of_branch[b]] = centre + along * direction
 
 
@@ -264,8 +266,9 @@ def _radii(
 
     With the axis as origin, ``integral of dV / rho`` over a stretch of length L is ``integral of r(theta, s) dtheta ds
     = 2 pi L <r>``: a linear functional of the mask, so that neither voxels nor roughness bias it, as they do the
-    distance map (towards thin) and the square root of the area (towards thick). The singularity on the axis is
-    replaced by an equivalent core, and the ends of the stretch are tapered. A branch that shows less than one section
+    distance map (towards thin) and the square root of the area (towards thick). Voxels near the
+    axis are integrated over, which by the divergence theorem leaves out the flux of the integrand's average through the
+    rim, ``h^2 / (24 rho)`` for voxels of edge h, added again; the ends of the stretch are tapered. A branch that shows less than one section
     of its own (a piece inside a junction) keeps the ``coarse`` radius of the distance map.
     """
     step = SECTION_VOXELS * float(voxels.spacing_mm.min())
@@ -273,12 +276,16 @@ def _radii(
     window = high - low
     ramp = np.minimum(0.5 * window, np.maximum(2.0 * step, 0.25 * window))
     ramp = np.maximum(ramp, 1e-9)
-    core = CORE * now.radius_mm
+    near = 2.0 * float(voxels.spacing_mm.max())
     total = kernels.section_sums(
-        stations.of_voxel, stations.along, stations.branch, stations.position, stations.tangent, stations.arc,
-        core, low, high, ramp, voxels.x, voxels.row, voxels.shape[1], voxels.spacing_mm,
+        stations.of_voxel, stations.along, stations.branch, stations.position, stations.tangent,
+        low, high, ramp, near, voxels.x, voxels.row, voxels.shape[1], voxels.spacing_mm,
     )  # fmt: skip
     radius = total * cell / (2.0 * np.pi * np.maximum(window - ramp, 1e-9))
+    chord = now.node_mm[1:] - stations.position[stations.offset[:-1]]
+    share = chord**2 / np.maximum((chord**2).sum(axis=1, keepdims=True), 1e-300)
+    across = ((1.0 - share) * voxels.spacing_mm**2).sum(axis=1) / 2.0
+    radius += across / (24.0 * np.clip(radius, 0.5 * step, near))
     seen = (window - ramp > step) & (radius > 0.5 * coarse)
     radius = np.where(seen, radius, coarse)
     pitch = stations.length / np.maximum(np.diff(stations.offset) - 1, 1)

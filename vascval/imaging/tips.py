@@ -33,8 +33,8 @@ def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
 
     The way through the mask from one of its ends (the place farthest from the thickest voxel) has a local maximum at
     every other tip, and at every bump of a rough wall. A maximum is followed down to the saddle where a farther one takes over; what hangs on it until there sticks
-    out by its persistence, the difference in way. A tip is a maximum whose persistence exceeds :func:`salience_mm`; lesser ones that stick out by more than
-    ``NOTICE_VOXELS`` voxels are reported as spurs.
+    out by its persistence, the difference in way. A tip is a maximum whose persistence exceeds :func:`salience_mm`; lesser
+    ones that stick out by more than ``NOTICE_VOXELS`` voxels are reported as spurs.
     """
     spacing = voxels.spacing_mm
     code = np.arange(27)
@@ -48,5 +48,4 @@ def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     persistence = np.where(saddle < 0, np.inf, way[tip] - way[saddle])
     salient = persistence > salience_mm(widest, spacing)
     noticed = ~salient & (persistence > NOTICE_VOXELS * float(np.cbrt(np.prod(spacing))))
-    by_way = np.argsort(-way[tip[salient]], kind="stable")
-    return Tips(np.concatenate((tip[salient][by_way], [source])), np.sort(tip[noticed]))
+    return Tips(np.union1d(tip[salient], [source]), np.sort(tip[noticed]))
