@@ -22,6 +22,7 @@ from vascval.core.jit import njit
 
 PLACED, REFUSED, TOO_THIN = 1, 2, 3
 DONE, NO_MORE_POINTS, NO_ROOM, STUCK = 0, 1, 2, 3
+STRANDED = 5000  # points refused in a row after which growth gives up
 
 
 @njit
@@ -181,7 +182,6 @@ def new_segment(store, parent, ax, ay, az, bx, by, bz, stem, radius):
     r.ax, r.ay, r.az, r.bx, r.by, r.bz = ax, ay, az, bx, by, bz
     r.length = length_between(ax, ay, az, bx, by, bz)
     r.radius = radius
-    r.s_sum, r.t_sum, r.base_rho, r.base_v = 0.0, 0.0, 0.0, 0.0
     if radius > store.thin[0]:
         store.thick[store.count[5]] = i
         store.count[5] += 1
@@ -239,6 +239,7 @@ def gather(store, i):
         t_sum += store.segment[c].t
         c = store.segment[c].sibling
     r.s_sum, r.t_sum = s_sum, t_sum
+    r.base_rho, r.base_v = 0.0, 0.0
     if s_sum > 0.0:
         a = s_sum ** (2.0 / store.gamma)
         r.base_rho, r.base_v = a * a, t_sum / a
@@ -266,7 +267,7 @@ def grow(store, stems, rules, grid, space, points, outcome, spacing_mm, target, 
 
     :param outcome: (M,) what became of each point.
     :param spacing_mm: the distance that the k-th terminal must keep from all segments is ``spacing_mm / k^(1/3)``,
-        times 0.9 after every 10 points refused; 0 asks for no distance.
+        times 0.9 after every 10 points refused; negative for given points, each of which is tried once.
     """
     nx, ny, nz = grid.head.shape
     room = 4 * (nx + ny + nz + 3)
@@ -278,7 +279,7 @@ def grow(store, stems, rules, grid, space, points, outcome, spacing_mm, target, 
             return NO_ROOM
         x, y, z = points[at]
         store.count[3] += 1
-        if spacing_mm > 0.0:
+        if spacing_mm >= 0.0:
             apart = spacing_mm / (store.count[1] + 1) ** (1.0 / 3.0) * 0.9 ** (store.count[4] // 10)
             if anything_within(grid, store.segment, x, y, z, apart):
                 store.count[4] += 1
@@ -288,7 +289,7 @@ def grow(store, stems, rules, grid, space, points, outcome, spacing_mm, target, 
             store.count[4] = 0
         else:
             store.count[4] += 1
-            if spacing_mm > 0.0 and (outcome[at] == TOO_THIN or store.count[4] > 5000):
+            if outcome[at] == TOO_THIN or (spacing_mm >= 0.0 and store.count[4] > STRANDED):
                 return STUCK
     return DONE
 
@@ -340,3 +341,31 @@ def load(store, stems, parent, position):
         else:
             r.stem = store.segment[r.parent].stem
 
+
+
+@njit
+def spread_down(store, lost):
+    """All that springs below a lost segment is lost too; so is a bifurcation both of whose branches are."""
+    changed = True
+    while changed:
+        changed = False
+        i = store.segment[0].child
+        while i > 0:
+            r = store.segment[i]
+            if lost[r.parent] and not lost[i]:
+                lost[i] = True
+            if r.child >= 0:
+                i = r.child
+                continue
+            while i > 0 and store.segment[i].sibling < 0:
+                i = store.segment[i].parent
+                bare = i >= store.n_fixed and not lost[i]
+                c = store.segment[i].child
+                while bare and c >= 0:
+                    bare = lost[c]
+                    c = store.segment[c].sibling
+                if bare:
+                    lost[i] = True
+                    changed = True
+            if i > 0:
+                i = store.segment[i].sibling

@@ -82,3 +82,78 @@ def springs_apart(store, grid, s, x, y, z, radius, margin):
     """Does a new terminal from the proximal node of ``s`` keep clear?"""
     r = store.segment[s]
     return clear(store, grid, r.ax, r.ay, r.az, x, y, z, radius, r.parent, -2, -2, margin)
+
+
+@njit
+def smaller(store, s, o):
+    """Of two vessels, the one that is easier to give up: not of the root tree, no stem, fewer terminals, younger."""
+    if s < store.n_fixed or o < store.n_fixed:
+        return max(s, o)
+    s_top, o_top = store.segment[s].parent < store.n_fixed, store.segment[o].parent < store.n_fixed
+    if s_top != o_top:
+        return o if s_top else s
+    n_s, n_o = store.segment[s].n, store.segment[o].n
+    if n_s != n_o:
+        return s if n_s < n_o else o
+    return max(s, o)
+
+
+@njit
+def mark_smaller(store, s, o, lost, margin):
+    """Mark the smaller of two vessels that overlap; 1 if they do."""
+    r = store.segment[s]
+    if o >= s or max(s, o) < store.n_fixed:
+        return 0
+    if not meets(store, o, r.ax, r.ay, r.az, r.bx, r.by, r.bz, r.radius, r.parent, s, s, margin):
+        return 0
+    lost[smaller(store, s, o)] = True
+    return 1
+
+
+@njit
+def mark_overlapping(store, grid, lost, margin):
+    """Mark in ``lost`` the smaller vessel of every pair that overlaps; returns how many times one was met."""
+    total = 0
+    for s in range(1, store.count[0]):
+        r = store.segment[s]
+        if r.radius > store.thin[0]:
+            continue
+        reach = margin * 2.0 * store.thin[0]
+        i0, j0, k0 = cell_of(grid, min(r.ax, r.bx) - reach, min(r.ay, r.by) - reach, min(r.az, r.bz) - reach)
+        i1, j1, k1 = cell_of(grid, max(r.ax, r.bx) + reach, max(r.ay, r.by) + reach, max(r.az, r.bz) + reach)
+        for i in range(i0, i1 + 1):
+            for j in range(j0, j1 + 1):
+                for k in range(k0, k1 + 1):
+                    e = grid.head[i, j, k]
+                    while e >= 0:
+                        total += mark_smaller(store, s, grid.owner[e], lost, margin)
+                        e = grid.link[e]
+    for c in range(store.count[5]):
+        for o in range(1, store.count[0]):
+            total += mark_smaller(store, max(store.thick[c], o), min(store.thick[c], o), lost, margin)
+    return total
+
+
+@njit
+def sweep_radii(store, stem_radius):
+    """All radii anew, root to leaf, from those of the stems (J,), and the list of thick vessels."""
+    store.count[5] = 0
+    i = store.segment[0].child
+    while i > 0:
+        r = store.segment[i]
+        if i >= store.n_fixed:
+            if r.parent < store.n_fixed:
+                r.radius = stem_radius[r.stem]
+            else:
+                p = store.segment[r.parent]
+                r.radius = p.radius * (r.rho / p.base_rho) ** 0.25
+        if r.radius > store.thin[0]:
+            store.thick[store.count[5]] = i
+            store.count[5] += 1
+        if r.child >= 0:
+            i = r.child
+            continue
+        while i > 0 and store.segment[i].sibling < 0:
+            i = store.segment[i].parent
+        if i > 0:
+            i = store.segment[i].sibling

@@ -83,7 +83,7 @@ def _grow(run: Run) -> KeyboardInterrupt | None:
                 if observer is not None:
                     observer(name, step.n_terminals, step.n_target)
         except KeyboardInterrupt as interruption:
-            if run.growth.n_grown < max(1, len(run.growth.root_tree.open_nodes)):
+            if not run.growth.begun:
                 raise
             return interruption
     return None

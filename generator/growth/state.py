@@ -1,0 +1,168 @@
+"""The growing tree: the records that the kernels work on, what is read off them, and how a branch is taken out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from generator.domain import Domain
+from generator.growth import _growth_kernels as kernels
+from generator.growth import _overlap_kernels as overlaps
+from generator.growth._grid import SegmentGrid
+from generator.growth._records import SEGMENT, VISIT, Stems, Store
+from generator.growth.root_tree import RootTree
+from generator.haemodynamics import Perfusion, perfused_tree
+from vascval.core.errors import ComputationError
+from vascval.core.ordering import root_first
+from vascval.core.tree import Topology, Tree
+
+_THICK = 0.5
+"""Vessels with a radius beyond this many cells of the grid are listed instead of being looked for in it."""
+
+
+class GrowthState:
+    """A root, or root tree, with room for ``capacity`` terminals; ``apart`` prepares for vessels that keep apart."""
+
+    def __init__(
+        self, domain: Domain, perfusion: Perfusion, root_tree: RootTree, capacity: int, *, apart: bool
+    ) -> None:
+        self.perfusion, self.root_tree, self.apart = perfusion, root_tree, apart
+        n_fixed = root_tree.parent.size
+        size = n_fixed + 2 * capacity
+        self.store = Store(
+            n_fixed=n_fixed,
+            gamma=float(perfusion.gamma),
+            segment=np.zeros(size, SEGMENT),
+            visit=np.zeros(size, VISIT),
+            count=np.zeros(6, np.int64),
+            thick=np.zeros(size if apart else 0, np.int32),
+            thin=np.array([np.inf]),
+        )
+        self.stems = _empty_stems(root_tree, perfusion)
+        self._fill(root_tree.parent, root_tree.position_mm)
+        self.grid = SegmentGrid(domain, self.store)
+
+    @property
+    def n_terminals(self) -> int:
+        return int(self.store.count[1])
+
+    @property
+    def n_nodes(self) -> int:
+        return int(self.store.count[0])
+
+    @property
+    def begun(self) -> bool:
+        """Whether a vessel has grown at every end of the root tree."""
+        return bool((self.stems.top >= 0).all())
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of the vessels grown so far, without the root tree's; not finite where that uses up the pressure."""
+        scale = np.pi * self._stem_scale()
+        return float((scale * np.exp(self.stems.cost))[self.stems.n > 0].sum())
+
+    def _stem_scale(self) -> np.ndarray:
+        """(J,) ``sqrt(kappa Q_term / dp)`` of each stem; NaN without pressure."""
+        flow = self.perfusion.flow_mm3_s / max(self.n_terminals, 1)
+        drop = self.stems.drop_pa - flow * self.stems.shared @ self.stems.n
+        return np.sqrt(self.stems.kappa_pa_s * flow / np.where(drop > 0.0, drop, np.nan))
+
+    def begin(self, node: int, point_mm: np.ndarray) -> None:
+        """A first terminal straight from an end of the root tree.
+
+        :raises ComputationError: when the root tree has used up the pressure there.
+        """
+        kernels.begin(self.store, self.stems, self.grid.grid, node, *point_mm)
+        if not np.isfinite(self.volume_mm3):
+            raise ComputationError(
+                "the root tree uses up the pressure before its ends; widen it, lower the flow or raise the root pressure"
+            )
+
+    def renew(self) -> None:
+        """Lay the grid for the present number of terminals; radii anew where vessels keep apart."""
+        self.grid.renew()
+        if self.apart:
+            self.measure_radii()
+
+    def measure_radii(self) -> None:
+        """All radii anew, and the list of those too thick for the grid."""
+        self.store.thin[0] = _THICK * self.grid.cell_mm
+        top = np.maximum(self.stems.top, 0)
+        radius = np.sqrt(self._stem_scale()) * self.store.segment["rho"][top] ** 0.25
+        overlaps.sweep_radii(self.store, radius)
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """``parent`` (N,) and ``position_mm`` (N, 3), nodes in the order in which they came."""
+        segment = self.store.segment[: self.n_nodes]
+        return segment["parent"].copy(), np.column_stack([segment[name] for name in ("bx", "by", "bz")])
+
+    def tree(self) -> Tree:
+        """What has grown so far, root first and perfused."""
+        parent, position = self.arrays()
+        order = root_first(parent)
+        rank = np.empty(order.size, np.int32)
+        rank[order] = np.arange(order.size)
+        fixed = np.full(order.size, np.nan)
+        fixed[rank[1 : self.store.n_fixed]] = self.root_tree.radius_mm[1:]
+        topology = Topology(np.concatenate(([-1], rank[parent[order[1:]]])))
+        return perfused_tree(topology, position[order], self.perfusion, fixed)
+
+    def drop_overlapping(self, margin: float) -> np.ndarray:
+        """Take out the smaller of every two vessels that overlap, with all below it; (K, 3) terminals taken out."""
+        self.renew()
+        lost = np.zeros(self.n_nodes, dtype=bool)
+        if not overlaps.mark_overlapping(self.store, self.grid.grid, lost, margin):
+            return np.zeros((0, 3))
+        parent, position = self.arrays()
+        kernels.spread_down(self.store, lost)
+        leaf = self.store.segment["child"][: self.n_nodes] < 0
+        dropped = position[lost & leaf]
+        self.store.count[:2] = 0
+        self._fill(*_without(parent, position, lost, self.store.n_fixed))
+        self.renew()
+        return dropped
+
+    def _fill(self, parent: np.ndarray, position_mm: np.ndarray) -> None:
+        self.stems.top[:] = -1
+        self.stems.n[:] = 0
+        kernels.load(self.store, self.stems, parent.astype(np.int32), np.ascontiguousarray(position_mm))
+        self.store.segment["radius"][: self.store.n_fixed] = self.root_tree.radius_mm
+
+
+def _without(
+    parent: np.ndarray, position_mm: np.ndarray, lost: np.ndarray, n_fixed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The tree without the lost nodes and the nodes at which nothing branches any more, its fixed nodes first."""
+    n_children = np.bincount(parent[1:][~lost[1:]], minlength=parent.size)
+    node = np.arange(parent.size)
+    was_leaf = np.bincount(parent[1:], minlength=parent.size) == 0
+    bare = ~lost & (node >= n_fixed) & (n_children == 0) & ~was_leaf
+    assert not bare.any()  # a bifurcation loses at most the smaller of its branches
+    passed = ~lost & (node >= n_fixed) & (n_children == 1)
+    proximal = parent.copy()
+    while (again := passed[proximal] & (proximal >= 0)).any():
+        proximal[again] = parent[proximal[again]]
+    keep = np.flatnonzero(~lost & ~passed)
+    order = root_first(np.where(proximal < 0, -1, np.searchsorted(keep, proximal))[keep])
+    order = np.concatenate((np.arange(n_fixed), order[order >= n_fixed]))
+    rank = np.empty(order.size, np.int32)
+    rank[order] = np.arange(order.size)
+    old = keep[order]
+    above = np.concatenate(([-1], rank[np.searchsorted(keep, proximal[old[1:]])]))
+    return above.astype(np.int32), position_mm[old]
+
+
+def _empty_stems(root_tree: RootTree, perfusion: Perfusion) -> Stems:
+    shared = perfusion.kappa_pa_s * root_tree.shared_resistance()
+    n = len(shared)
+    return Stems(
+        top=np.full(n, -1, np.int32),
+        n=np.zeros(n),
+        cost=np.zeros(n),
+        shared=shared,
+        drop_pa=float(perfusion.pressure_drop_pa),
+        flow_mm3_s=float(perfusion.flow_mm3_s),
+        kappa_pa_s=float(perfusion.kappa_pa_s),
+        mark=np.full(n, -1, np.int64),
+        others=np.zeros(n),
+        own=np.zeros(n),
+    )
