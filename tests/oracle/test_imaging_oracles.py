@@ -122,7 +122,7 @@ def test_neighbours_and_geodesic_distance_are_those_of_the_voxel_graph(mask: np.
 @settings(deadline=None, max_examples=300)
 @given(st.integers(0, 2**26 - 1))
 def test_simple_voxels_are_those_whose_removal_keeps_the_topology(bits: int) -> None:
-    """A voxel is simple if parts, tunnels and cavities are the same without it: Euler numbers and labels of 3 x 3 x 3."""
+    """A voxel is simple if parts, cavities and the Euler number, hence tunnels, are the same without it."""
     mask = 0
     block = np.zeros((5, 5, 5), dtype=bool)
     for k, code in enumerate(c for c in range(27) if c != 13):

@@ -55,22 +55,13 @@ def geodesic(source, x, row, first, ny, step):
             longest = max(longest, step[c])
     n_buckets = int(longest / shortest) + 3
     head = np.full(n_buckets, -1, np.int64)
-    # a voxel may be queued several times (at most once an improvement): entries are pooled and grow as needed
-    capacity = 4 * n + 64
-    entry = np.empty(capacity, np.int32)
-    follow = np.empty(capacity, np.int64)
-    key = np.empty(capacity, np.int64)
-    used = 1
-    free = -1
-    entry[0] = source
-    key[0] = 0
-    follow[0] = -1
+    # a voxel is queued anew at each improvement; entries that a later one has overtaken are passed over
+    entry, follow, key = np.empty(2 * n, np.int32), np.empty(2 * n, np.int64), np.empty(2 * n, np.int64)
+    entry[0], follow[0], key[0] = source, -1, 0
     head[0] = 0
+    used, waiting, bucket = 1, 1, 0
     distance[source] = 0.0
-    waiting = 1
-    bucket = 0
-    out = np.empty(26, np.int64)
-    code = np.empty(26, np.int64)
+    out, code = np.empty(26, np.int64), np.empty(26, np.int64)
     while waiting > 0:
         slot = bucket % n_buckets
         e = head[slot]
@@ -80,32 +71,23 @@ def geodesic(source, x, row, first, ny, step):
         head[slot] = follow[e]
         waiting -= 1
         i = entry[e]
-        stale = key[e] != int(distance[i] / shortest)
-        follow[e] = free
-        free = e
-        if stale:
+        if key[e] != int(distance[i] / shortest):
             continue
-        m = neighbours(i, x, row, first, ny, out, code)
-        for t in range(m):
+        for t in range(neighbours(i, x, row, first, ny, out, code)):
             j = out[t]
             d = distance[i] + step[code[t]]
-            if d < distance[j]:
-                distance[j] = d
-                if free >= 0:
-                    e = free
-                    free = follow[e]
-                else:
-                    if used == entry.size:
-                        entry = np.concatenate((entry, np.empty(used, np.int32)))
-                        follow = np.concatenate((follow, np.empty(used, np.int64)))
-                        key = np.concatenate((key, np.empty(used, np.int64)))
-                    e = used
-                    used += 1
-                entry[e] = j
-                key[e] = int(d / shortest)
-                follow[e] = head[key[e] % n_buckets]
-                head[key[e] % n_buckets] = e
-                waiting += 1
+            if d >= distance[j]:
+                continue
+            distance[j] = d
+            if used == entry.size:
+                entry = np.concatenate((entry, np.empty(used, np.int32)))
+                follow = np.concatenate((follow, np.empty(used, np.int64)))
+                key = np.concatenate((key, np.empty(used, np.int64)))
+            slot = int(d / shortest) % n_buckets
+            entry[used], follow[used], key[used] = j, head[slot], int(d / shortest)
+            head[slot] = used
+            used += 1
+            waiting += 1
     return distance
 
 

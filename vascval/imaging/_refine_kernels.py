@@ -72,8 +72,8 @@ def inverse_distance(dx, dy, dz, tangent, core):
 
 @njit
 def section_sums(station, along, branch, position, tangent, low, high, ramp, near, x, row, ny, spacing):
-    """For each branch the sum of ``1 / rho`` over its voxels between ``low`` and ``high``, tapered over ``ramp`` at both
-    ends; see :func:`vascval.imaging.refine._radii`. Voxels within ``near`` of the axis are averaged over 4 x 4 x 4 parts.
+    """For each branch the sum of ``1 / rho`` over its voxels between ``low`` and ``high``, tapered over ``ramp`` at
+    both ends; see :func:`vascval.imaging.refine._radii`. Voxels within ``near`` of the axis are averaged over 64 parts.
     """
     radius_sum = np.zeros(low.size)
     core = 0.25 * spacing.min()
@@ -136,7 +136,7 @@ def make_stations(points, begin, step, half_width):
             position[offset[b] + j] = points[k] + t * (points[k + 1] - points[k])
             arc[offset[b] + j] = s
             branch[offset[b] + j] = b
-        reach = 1 if pitch == 0.0 else max(1, int(round(half_width[b] / pitch)))
+        reach = 1 if pitch == 0.0 else max(1, round(half_width[b] / pitch))
         for j in range(m):
             # a chord from a point as far back as ahead, so that the tangent is centred
             span = min(reach, max(1, min(j, m - 1 - j)))

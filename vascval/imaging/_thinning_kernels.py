@@ -8,7 +8,7 @@ from vascval.imaging._geodesic_kernels import neighbours
 
 @njit
 def adjacency_masks():
-    """Bit masks of who touches whom among the 27 positions: 26-adjacency, and 6-adjacency within the 18-neighbourhood."""
+    """Bit masks of who touches whom among the 27 places: 26-adjacency, and 6-adjacency within the 18-neighbourhood."""
     near26 = np.zeros(27, np.int64)
     near6 = np.zeros(27, np.int64)
     for a in range(27):

@@ -77,7 +77,8 @@ class _Fragment:
     def gap_to(self, bodies: list[cKDTree]) -> tuple[np.ndarray, np.ndarray] | None:
         """The two voxels between which the fragment continues one of the bodies, if it does."""
         for body in bodies:
-            distance, index = body.query(self.point, distance_upper_bound=MAX_GAP_DIAMETERS * self.thickness + 2 * self.half_voxel)
+            reach = MAX_GAP_DIAMETERS * self.thickness + 2 * self.half_voxel
+            distance, index = body.query(self.point, distance_upper_bound=reach)
             k = int(np.argmin(distance))
             if not np.isfinite(distance[k]):
                 continue

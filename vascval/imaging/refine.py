@@ -1,10 +1,10 @@
 """Sub-voxel centrelines, junctions, tips and radii from all voxels of each branch.
 
-A voxel chain is a voxel off the axis and its distance values are half a voxel and more too small. Here every foreground
-voxel is given to a branch (least power distance) and its cross-section; the centreline runs through the centroids of the
-cross-sections, away from the junctions; a junction lies where the straight continuations of its branches come closest;
-a tip where the volume beyond the last full cross-section puts it; and a radius is a mean over all directions and
-sections, which neither the voxel grid nor a rough surface biases.
+A chain of voxels runs up to a voxel off the axis, and its distance values are half a voxel and more too small. Here
+every foreground voxel is given to a branch (least power distance) and its cross-section; the centreline runs through
+the centroids of the cross-sections, away from the junctions; a junction lies where the straight continuations of its
+branches come closest; a tip where the volume beyond the last full cross-section puts it; and a radius is a mean over
+all directions and sections, which neither the voxel grid nor a rough surface biases.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, coarse: np.ndarray, st
     lines = _lines(nodes, now, stations, low, high)
     low, high = _windows(nodes, now, stations, _outward(now, stations, lines))
     lines = _lines(nodes, now, stations, low, high)
-    radius, sd = _radii(voxels, now, coarse, stations, low, high)
+    radius = _radii(voxels, now, coarse, stations, low, high)
     node = _solve_nodes(nodes, now, lines)
     _place_tips(voxels, nodes, stations, lines, radius, low, high, node)
     width = SMOOTHING_RADII * np.maximum(radius, float(voxels.spacing_mm.max()))
@@ -149,7 +149,7 @@ def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, coarse: np.ndarray, st
         low, high, width,
     )  # fmt: skip
     point, offset = _assemble(nodes, stations, centre, node, lines, low, high)
-    return Refined(node, point, offset, radius, sd)
+    return Refined(node, point, offset, radius, _radius_scatter(voxels, stations, low, high))
 
 
 def _outward(now: Refined, stations: _Stations, lines: _Fit | None = None) -> np.ndarray:
@@ -231,8 +231,8 @@ def _place_tips(
     """Put the ends of terminals and stem where the volume beyond the last full section places them.
 
     The volume beyond a section, divided by the area of the cross-section before it, tells how long a flat-ended vessel
-    would go on; a hemisphere that ends a vessel holds as much as two thirds of a radius of it, and the centreline ends in
-    its centre. A vessel that leaves the volume ends where it leaves.
+    would go on; a hemisphere at the end holds as much as two thirds of a radius of it, and the centreline ends in the
+    hemisphere's centre. A vessel that leaves the volume ends where it leaves.
     """
     step = SECTION_VOXELS * float(voxels.spacing_mm.min())
     cell = float(np.prod(voxels.spacing_mm))
@@ -261,21 +261,21 @@ def _point_at(stations: _Stations, branch: int, arc: float) -> np.ndarray:
 
 def _radii(
     voxels: Voxels, now: Refined, coarse: np.ndarray, stations: _Stations, low: np.ndarray, high: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean radius of each branch over all directions and sections, and its standard deviation along the branch.
+) -> np.ndarray:
+    """(s,) mean radius of each branch over all directions and sections between ``low`` and ``high``.
 
-    With the axis as origin, ``integral of dV / rho`` over a stretch of length L is ``integral of r(theta, s) dtheta ds
-    = 2 pi L <r>``: a linear functional of the mask, so that neither voxels nor roughness bias it, as they do the
-    distance map (towards thin) and the square root of the area (towards thick). Voxels near the
-    axis are integrated over, which by the divergence theorem leaves out the flux of the integrand's average through the
-    rim, ``h^2 / (24 rho)`` for voxels of edge h, added again; the ends of the stretch are tapered. A branch that shows less than one section
-    of its own (a piece inside a junction) keeps the ``coarse`` radius of the distance map.
+    With the axis as origin, the integral of ``dV / rho`` over a stretch of length L is that of ``r(theta, s)`` over
+    angle and arc length, 2 pi L times the mean radius: a linear functional of the mask, so that neither voxels nor
+    roughness bias it, as they do the distance map (towards thin) and the square root of the area (towards thick).
+    Voxels near the axis are integrated over instead of sampled, which by the divergence theorem leaves out a flux
+    through the rim of ``h^2 / (24 rho)`` for voxels of edge h; it is added again. The ends of the stretch are tapered.
+    A branch that shows less than one section of its own (a piece inside a junction) keeps the ``coarse`` radius of the
+    distance map.
     """
     step = SECTION_VOXELS * float(voxels.spacing_mm.min())
     cell = float(np.prod(voxels.spacing_mm))
     window = high - low
-    ramp = np.minimum(0.5 * window, np.maximum(2.0 * step, 0.25 * window))
-    ramp = np.maximum(ramp, 1e-9)
+    ramp = np.maximum(np.minimum(0.5 * window, np.maximum(2.0 * step, 0.25 * window)), 1e-9)
     near = 2.0 * float(voxels.spacing_mm.max())
     total = kernels.section_sums(
         stations.of_voxel, stations.along, stations.branch, stations.position, stations.tangent,
@@ -287,15 +287,20 @@ def _radii(
     across = ((1.0 - share) * voxels.spacing_mm**2).sum(axis=1) / 2.0
     radius += across / (24.0 * np.clip(radius, 0.5 * step, near))
     seen = (window - ramp > step) & (radius > 0.5 * coarse)
-    radius = np.where(seen, radius, coarse)
+    return np.where(seen, radius, coarse)
+
+
+def _radius_scatter(voxels: Voxels, stations: _Stations, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(s,) standard deviation, along each branch, of the radius of equal area of its sections."""
+    n = low.size
     pitch = stations.length / np.maximum(np.diff(stations.offset) - 1, 1)
     inside = (stations.arc >= low[stations.branch]) & (stations.arc <= high[stations.branch]) & (stations.count > 0)
     of = stations.branch[inside]
-    section = np.sqrt(stations.count[inside] * cell / (np.pi * np.maximum(pitch[of], 1e-9)))
-    n = np.maximum(np.bincount(of, minlength=radius.size), 1)
-    mean = np.bincount(of, weights=section, minlength=radius.size) / n
-    variance = np.bincount(of, weights=(section - mean[of]) ** 2, minlength=radius.size) / n
-    return radius, np.sqrt(variance)
+    area = stations.count[inside] * float(np.prod(voxels.spacing_mm)) / np.maximum(pitch[of], 1e-9)
+    section = np.sqrt(area / np.pi)
+    count = np.maximum(np.bincount(of, minlength=n), 1)
+    mean = np.bincount(of, weights=section, minlength=n) / count
+    return np.sqrt(np.bincount(of, weights=(section - mean[of]) ** 2, minlength=n) / count)
 
 
 def _assemble(

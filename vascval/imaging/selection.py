@@ -41,14 +41,17 @@ def select(volume: Volume, *, label: int | None = None, threshold: float | str |
         present = _distinct(values, MAX_LABELS)
         if present is not None and not np.any(present == label):
             raise InputError(f"label {label} is not there; the volume holds {_listed(present)}")
-        if present is None and not any(np.any(values[z] == label) for z in range(values.shape[0])):
-            raise InputError(f"label {label} is not there; the volume holds values from {values.min()} to {values.max()}")
+        if present is None and not any(np.any(slab == label) for slab in values):
+            low, high = values.min(), values.max()
+            raise InputError(f"label {label} is not there; the volume holds values from {low} to {high}")
         return Selection(lambda z: values[z] == label, f"voxels of label {label}")
     if threshold is not None:
-        return _above(values, _otsu(values) if isinstance(threshold, str) else float(threshold), isinstance(threshold, str))
+        if isinstance(threshold, str):
+            return _above(values, _otsu(values), " (Otsu)")
+        return _above(values, float(threshold), "")
     present = _distinct(values, MAX_LABELS)
     if present is None or not np.equal(present, np.rint(present)).all():
-        return _above(values, _otsu(values), True)
+        return _above(values, _otsu(values), " (Otsu)")
     if present.size == 1:
         raise InputError(f"every voxel has the value {present[0]:g}: no vessel can be told from its surroundings")
     if present.size == 2:
@@ -57,11 +60,12 @@ def select(volume: Volume, *, label: int | None = None, threshold: float | str |
     raise InputError(f"the volume holds {_listed(present)}; choose one with --label, or grey values with --threshold")
 
 
-def _above(values: np.ndarray, level: float, automatic: bool) -> Selection:
+def _above(values: np.ndarray, level: float, how: str) -> Selection:
     low, high = float(values.min()), float(values.max())
-    if not np.isfinite(level) or level > high or level <= low:
-        raise InputError(f"threshold {level:g} selects {'nothing' if level > high else 'everything'}; values run from {low:g} to {high:g}")
-    return Selection(lambda z: values[z] >= level, f"voxels at or above {level:g}" + (" (Otsu)" if automatic else ""))
+    if not low < level <= high:
+        amount = "everything" if level <= low else "nothing"
+        raise InputError(f"threshold {level:g} selects {amount}; values run from {low:g} to {high:g}")
+    return Selection(lambda z: values[z] >= level, f"voxels at or above {level:g}{how}")
 
 
 def _distinct(values: np.ndarray, limit: int) -> np.ndarray | None:

@@ -219,7 +219,8 @@ class _Fitted:
 
 def _fit(voxels: Voxels, drawn: _Drawn, thickness: np.ndarray) -> _Fitted:
     """Refine, drop the terminals that end inside the vessel they spring from, and refine again until none does."""
-    ends, spurs = drawn.ends, []
+    ends = drawn.ends
+    spurs: list[int] = []
     while True:
         tree = graph.branches(drawn.order, drawn.parent, ends)
         geometry = refine(voxels, tree, drawn.skeleton.voxel, thickness)

@@ -32,9 +32,10 @@ def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     """Find the tips of all vessels of a connected mask.
 
     The way through the mask from one of its ends (the place farthest from the thickest voxel) has a local maximum at
-    every other tip, and at every bump of a rough wall. A maximum is followed down to the saddle where a farther one takes over; what hangs on it until there sticks
-    out by its persistence, the difference in way. A tip is a maximum whose persistence exceeds :func:`salience_mm`; lesser
-    ones that stick out by more than ``NOTICE_VOXELS`` voxels are reported as spurs.
+    every other tip, and at every bump of a rough wall. A maximum is followed down to the saddle where a farther one
+    takes over; what hangs on it until there sticks out by its persistence, the difference in way. A tip is a maximum
+    whose persistence exceeds :func:`salience_mm`; lesser ones that stick out by more than ``NOTICE_VOXELS`` voxels are
+    reported as spurs.
     """
     spacing = voxels.spacing_mm
     code = np.arange(27)

@@ -32,7 +32,7 @@ class Voxels:
     def n(self) -> int:
         return int(self.x.size)
 
-    def index_xyz(self, voxel: np.ndarray | slice = slice(None)) -> np.ndarray:
+    def index_xyz(self, voxel: np.ndarray | slice | int = slice(None)) -> np.ndarray:
         """(k, 3) integer x, y, z of the given voxels (all by default)."""
         row = self.row[voxel]
         return np.stack((self.x[voxel], row % self.shape[1], row // self.shape[1]), axis=-1)
