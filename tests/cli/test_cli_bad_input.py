@@ -240,3 +240,22 @@ def test_wrong_use(arguments, message, tmp_path, cast_file, tree_file, capsys, m
     line = run([argument.format(**names) for argument in arguments], capsys)
     assert message.format(**names) in line
     assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["nowhere.toml"], "nowhere.toml"),
+        (["karch-box", "--set", "n_terminals=0"], "n_terminals"),
+        (["karch-box", "--set", "gamma=5"], "gamma"),
+        (["karch-box", "--set", "colour=red"], "colour"),
+        (["karch-box", "--set", "n_terminals"], "n_terminals"),
+        (["karch-box", "--set", "root_mm=500,0,0"], "outside the domain"),
+        (["karch-box", "--set", "domain.box_mm=90,0,16"], "box"),
+        (["karch-box", "--set", "domain.file=nowhere.stl"], "nowhere.stl"),
+    ],
+)
+def test_bad_configuration(options, message, tmp_path, capsys):
+    line = run(["generate", *options, "-o", tmp_path / "out.vtp", "--json", tmp_path / "out.json"], capsys)
+    assert message in line
+    assert contents(tmp_path) == {}

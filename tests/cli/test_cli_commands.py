@@ -232,3 +232,35 @@ def test_units_of_a_tree_file(tmp_path, tree_file, capsys):
     plain = json.loads(run(["analyze", tree_file, "--unit", "mm", "--json", "-"], capsys))
     large = json.loads(run(["analyze", tree_file, "--unit", "cm", "--json", "-"], capsys))
     assert large["summary"]["total_length_mm"] == pytest.approx(10 * plain["summary"]["total_length_mm"], rel=1e-12)
+
+
+def test_interrupted_growth_is_kept(tmp_path, capsys, monkeypatch):
+    from generator.growth.growth import Growth
+
+    steps = Growth.steps
+
+    def interrupted(growth):
+        for step in steps(growth):
+            yield step
+            if step.n_terminals >= 100:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(Growth, "steps", interrupted)
+    assert main(["generate", "karch-box", "--set", "n_terminals=100000", "-o", str(tmp_path / "tree.vtp")]) == 130
+    assert "vascval: interrupted" in capsys.readouterr().err.splitlines()[-1]
+    assert 100 <= read_tree(tmp_path / "tree.vtp").topology.n_terminals < 100_000
+
+
+def test_generate(tmp_path, capsys):
+    arguments = ["generate", "karch-box", "--set", "n_terminals=30", "--set", "seed=5"]
+    out = run([*arguments, "-o", tmp_path / "tree.vtp", "--json", tmp_path / "tree.json"], capsys)
+    assert str(tmp_path / "tree.vtp") in out
+    document = json.loads((tmp_path / "tree.json").read_text())
+    jsonschema.validate(document, schemas.schema("generate"))
+    assert (document["n_terminals"], document["n_segments"], document["seed"]) == (30, 59, 5)
+    assert [stage["name"] for stage in document["stages"]] == ["growth"]
+    grown = read_tree(tmp_path / "tree.vtp")
+    assert grown.topology.n_terminals == 30
+    assert {"flow_mm3_s", "pressure_pa"} <= set(grown.columns)
+    run([*arguments, "-o", tmp_path / "again.vtp"], capsys)
+    assert (tmp_path / "again.vtp").read_bytes() == (tmp_path / "tree.vtp").read_bytes()
