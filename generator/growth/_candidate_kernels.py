@@ -100,7 +100,7 @@ def joined(store, r, lp, ls, lt):
 def feed(store, s, rho, v):
     """Cost and its derivatives by ``rho`` and ``v`` of a new segment that takes the place of ``s`` at its parent."""
     r = store.segment[s]
-    p = r.parent
+    p = np.int64(r.parent)
     if p < store.n_fixed:
         return 0.5 * np.log(rho) + np.log(v), 0.5 / rho, 1.0 / v
     up_rho, up_v, rr, vr, vv = climb(store.segment[p], r.q, r.t, rho, v, store.gamma)

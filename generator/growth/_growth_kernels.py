@@ -57,7 +57,7 @@ def merged(store, s, x, y, z, scale):
     lt = length_between(x, y, z, r.ax, r.ay, r.az)
     p = store.segment[r.parent]
     rho, v, _, _, _ = climb(p, 0.0, 0.0, lt, lt, store.gamma)
-    cost, _, d_v = walk(store, r.parent, rho, v)
+    cost, _, d_v = walk(store, np.int64(r.parent), rho, v)
     radius = np.sqrt(scale * d_v * np.exp(cost)) * lt**0.25
     return cost, radius / (rho - (p.n + 1) * p.length) ** 0.25
 
@@ -127,13 +127,13 @@ def connect(store, stems, rules, grid, space, x, y, z, near, distance):
     """Test the segments nearest to the point and take the best connection; ``PLACED``, ``REFUSED`` or ``TOO_THIN``."""
     store.count[2] += 1
     n_near = nearest(grid, store.segment, x, y, z, store.count[2], near, distance)
-    best, best_s, best_x, best_y, best_z = np.inf, -1, 0.0, 0.0, 0.0
+    best, best_s, best_x, best_y, best_z = np.inf, np.int64(-1), 0.0, 0.0, 0.0
     best_p, best_d, best_radius = 0.0, 0.0, 0.0
     merge, thin = False, False
     for c in range(n_near):
-        s = near[c]
+        s = np.int64(near[c])
         r = store.segment[s]
-        prepare_stem(store, stems, r.stem)
+        prepare_stem(store, stems, np.int64(r.stem))
         own, others = stems.own[r.stem], stems.others[r.stem]
         if s < store.n_fixed or not np.isfinite(own):
             continue
@@ -162,7 +162,7 @@ def connect(store, stems, rules, grid, space, x, y, z, near, distance):
     if best_s < 0:
         return TOO_THIN if thin else REFUSED
     if merge:
-        attach(store, grid, store.segment[best_s].parent, x, y, z, best_radius)
+        attach(store, grid, np.int64(store.segment[best_s].parent), x, y, z, best_radius)
     else:
         cut(store, grid, best_s, best_x, best_y, best_z, best_p, best_d)
         attach(store, grid, store.count[0] - 1, x, y, z, best_radius)
@@ -192,8 +192,8 @@ def new_segment(store, parent, ax, ay, az, bx, by, bz, stem, radius):
 def cut(store, grid, s, bx, by, bz, radius_above, radius_below):
     """Cut segment ``s`` at the bifurcation, a new node; what was below stays with ``s``."""
     r = store.segment[s]
-    register(grid, r, s, False)
-    p = r.parent
+    register(grid, r, s, np.bool_(False))
+    p = np.int64(r.parent)
     b = new_segment(store, p, r.ax, r.ay, r.az, bx, by, bz, r.stem, radius_above)
     i = b
     while store.segment[i].sibling != s:
@@ -206,8 +206,8 @@ def cut(store, grid, s, bx, by, bz, radius_above, radius_below):
     r.length = length_between(bx, by, bz, r.bx, r.by, r.bz)
     r.radius = radius_below
     update(r, store.gamma)
-    register(grid, r, s, True)
-    register(grid, store.segment[b], b, True)
+    register(grid, r, s, np.bool_(True))
+    register(grid, store.segment[b], b, np.bool_(True))
 
 
 @njit
@@ -216,7 +216,7 @@ def attach(store, grid, p, x, y, z, radius):
     above = store.segment[p]
     t = new_segment(store, p, above.bx, above.by, above.bz, x, y, z, above.stem, radius)
     store.count[1] += 1
-    register(grid, store.segment[t], t, True)
+    register(grid, store.segment[t], t, np.bool_(True))
 
 
 @njit
@@ -305,7 +305,7 @@ def begin(store, stems, grid, node, x, y, z):
         j += 1
     store.segment[t].stem = j
     store.count[1] += 1
-    register(grid, store.segment[t], t, True)
+    register(grid, store.segment[t], t, np.bool_(True))
     add_one(store, stems)
 
 

@@ -102,7 +102,7 @@ def fill(grid, segment, first, last):
     for s in range(first, last):
         if grid.free[1] < room:
             return s
-        register(grid, segment[s], s, True)
+        register(grid, segment[s], np.int64(s), np.bool_(True))
     return last
 
 

@@ -4,6 +4,8 @@ Two vessels without a common node overlap where their axes come closer than the 
 are those of the last sweep; the caller asks for a margin.
 """
 
+import numpy as np
+
 from generator.growth._index_kernels import cell_of
 from vascval.core.jit import njit
 
@@ -57,23 +59,24 @@ def clear(store, grid, ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, mar
             for k in range(k0, k1 + 1):
                 e = grid.head[i, j, k]
                 while e >= 0:
-                    if meets(store, grid.owner[e], ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
+                    if meets(store, np.int64(grid.owner[e]), ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
                         return False
                     e = grid.link[e]
     for c in range(store.count[5]):
-        if meets(store, store.thick[c], ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
+        if meets(store, np.int64(store.thick[c]), ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
             return False
     return True
 
 
 @njit
 def keeps_apart(store, grid, s, bx, by, bz, x, y, z, found, margin):
-    """Do the three segments of a bifurcation at ``b`` on segment ``s`` keep clear? New nodes have no number yet: -2."""
+    """Do the three segments of a bifurcation at ``b`` on segment ``s`` keep clear? New nodes have no number yet."""
     r = store.segment[s]
+    none = np.int64(-2)
     return (
-        clear(store, grid, bx, by, bz, x, y, z, found[9], -2, -2, s, margin)
-        and clear(store, grid, r.ax, r.ay, r.az, bx, by, bz, found[7], r.parent, -2, s, margin)
-        and clear(store, grid, bx, by, bz, r.bx, r.by, r.bz, found[8], -2, s, s, margin)
+        clear(store, grid, bx, by, bz, x, y, z, found[9], none, none, s, margin)
+        and clear(store, grid, r.ax, r.ay, r.az, bx, by, bz, found[7], np.int64(r.parent), none, s, margin)
+        and clear(store, grid, bx, by, bz, r.bx, r.by, r.bz, found[8], none, s, s, margin)
     )
 
 
@@ -81,7 +84,8 @@ def keeps_apart(store, grid, s, bx, by, bz, x, y, z, found, margin):
 def springs_apart(store, grid, s, x, y, z, radius, margin):
     """Does a new terminal from the proximal node of ``s`` keep clear?"""
     r = store.segment[s]
-    return clear(store, grid, r.ax, r.ay, r.az, x, y, z, radius, r.parent, -2, -2, margin)
+    none = np.int64(-2)
+    return clear(store, grid, r.ax, r.ay, r.az, x, y, z, radius, np.int64(r.parent), none, none, margin)
 
 
 @njit
@@ -104,7 +108,7 @@ def mark_smaller(store, s, o, lost, margin):
     r = store.segment[s]
     if o >= s or max(s, o) < store.n_fixed:
         return 0
-    if not meets(store, o, r.ax, r.ay, r.az, r.bx, r.by, r.bz, r.radius, r.parent, s, s, margin):
+    if not meets(store, o, r.ax, r.ay, r.az, r.bx, r.by, r.bz, r.radius, np.int64(r.parent), s, s, margin):
         return 0
     lost[smaller(store, s, o)] = True
     return 1
@@ -126,11 +130,11 @@ def mark_overlapping(store, grid, lost, margin):
                 for k in range(k0, k1 + 1):
                     e = grid.head[i, j, k]
                     while e >= 0:
-                        total += mark_smaller(store, s, grid.owner[e], lost, margin)
+                        total += mark_smaller(store, s, np.int64(grid.owner[e]), lost, margin)
                         e = grid.link[e]
     for c in range(store.count[5]):
         for o in range(1, store.count[0]):
-            total += mark_smaller(store, max(store.thick[c], o), min(store.thick[c], o), lost, margin)
+            total += mark_smaller(store, max(np.int64(store.thick[c]), o), min(np.int64(store.thick[c]), o), lost, margin)
     return total
 
 
