@@ -155,7 +155,7 @@ def _line(row: dict[str, Any], image: dict[str, Any]) -> str:
     return ("| " + " | ".join(cells) + " |").format(**row, three=three, elements=elements, stages=stages)
 
 
-ERRORS = ("radius_error", "length_error", "tip_offset_mm", "centreline_offset_mm")
+ERRORS = ("radius_error", "length_error", "tip_offset_mm", "junction_offset_mm", "centreline_offset_mm")
 
 
 def convergence(tool: str, options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
@@ -172,7 +172,9 @@ def convergence(tool: str, options: argparse.Namespace, folder: Path) -> list[di
         write_volume(rasterize(truth, voxel_mm=voxel_mm, margin_mm=3.0), path)
         result = run(tool, path, truth.position_mm[0])
         points = score(result.tree, truth, voxel_mm, image=result.image, tolerance_voxels=5.0 / voxel_mm).as_dict()
-        points |= {f"{name}_mm": points[name] * voxel_mm for name in ("tip_offset", "centreline_offset")}
+        points |= {
+            f"{part}_offset_mm": points[f"{part}_offset"] * voxel_mm for part in ("tip", "junction", "centreline")
+        }
         rows.append({"voxel_mm": float(voxel_mm), "tool": tool, **points})
         cells = (f"{voxel_mm:.3f}", *(f"{points[name]:.4f}" for name in ERRORS), f"{points['tips_found']:.1%}")
         print("| " + " | ".join(cells) + " |", flush=True)

@@ -40,8 +40,9 @@ class Score:
       length, ``length_error`` its mean absolute, ``total_length_bias`` relative deviation of the summed length;
       ``centreline_offset`` mean distance of the found centrelines from the true ones.
     * ``junctions_found`` as a fraction, ``n_junctions_false``: a junction is found when a found node parts the same
-      tips in the same way; ``n_trifurcations`` in truth, ``trifurcations_found`` as a fraction (1 if there are none),
-      ``n_trifurcations_false``: found nodes of three branches that are none in truth.
+      tips in the same way; ``junction_offset`` mean distance of the pairs. ``n_trifurcations`` in truth,
+      ``trifurcations_found`` as a fraction (1 if there are none), ``n_trifurcations_false``: found nodes of three
+      branches that are none in truth.
     * ``elements_found``, ``elements_true``: elements of each Strahler order, from order 1; ``elements_equal``; the
       largest relative deviation of an order, ``elements_deviation``, and that of the sum over all orders of the
       absolute deviations, ``elements_total_deviation``.
@@ -61,6 +62,7 @@ class Score:
     centreline_offset: float
     junctions_found: float
     n_junctions_false: int
+    junction_offset: float
     n_trifurcations: int
     trifurcations_found: float
     n_trifurcations_false: int
@@ -98,7 +100,7 @@ def score(
         tip_offset=float(offset.mean() / voxel_mm) if len(offset) else float("nan"),
         n_loops=int((image or {}).get("n_loops_cut", 0)),
         **_segment_scores(truth, found, pairs, voxel_mm),
-        **_junction_scores(truth, true_clade, found, found_clade),
+        **_junction_scores(truth, true_clade, found, found_clade, voxel_mm),
         **_element_scores(truth, found),
     )
 
@@ -167,7 +169,7 @@ def _match_segments(
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def _segment_scores(truth: Tree, found: Tree, pairs: np.ndarray, voxel_mm: float) -> dict[str, float]:
+def _segment_scores(truth: Tree, found: Tree, pairs: np.ndarray, voxel_mm: float) -> dict[str, Any]:
     t, f = pairs.T
     names = ("radius_error", "radius_bias", "length_error", "length_bias", "total_length_bias", "centreline_offset")
     if t.size == 0:
@@ -201,15 +203,18 @@ def _junctions(tree: Tree, clades: list[Clade | None]) -> dict[int, frozenset[Cl
 
 
 def _junction_scores(
-    truth: Tree, true_clade: list[Clade | None], found: Tree, found_clade: list[Clade | None]
-) -> dict[str, float | int]:
+    truth: Tree, true_clade: list[Clade | None], found: Tree, found_clade: list[Clade | None], voxel_mm: float
+) -> dict[str, Any]:
     true_parts, found_parts = _junctions(truth, true_clade), _junctions(found, found_clade)
     in_truth, in_found = set(true_parts.values()) - {None}, set(found_parts.values()) - {None}
+    place = {part: found.position_mm[node] for node, part in found_parts.items()}
+    apart = [np.linalg.norm(truth.position_mm[i] - place[part]) for i, part in true_parts.items() if part in in_found]
     three = [part for node, part in true_parts.items() if truth.topology.n_children[node] == 3]
     found_three = [part for node, part in found_parts.items() if found.topology.n_children[node] == 3]
     return {
         "junctions_found": sum(part in in_found for part in true_parts.values()) / max(1, len(true_parts)),
         "n_junctions_false": sum(part not in in_truth for part in found_parts.values()),
+        "junction_offset": float(np.mean(apart) / voxel_mm) if apart else float("nan"),
         "n_trifurcations": len(three),
         "trifurcations_found": sum(part in in_found for part in three) / len(three) if three else 1.0,
         "n_trifurcations_false": sum(part not in in_truth for part in found_three),

@@ -165,7 +165,7 @@ def test_the_truth_scores_full_marks(truth: Tree) -> None:
     s = score(truth, truth, 1.0, image={"n_loops_cut": 2})
     assert (s.n_tips, s.tips_found, s.tips_false, s.tip_offset, s.n_loops) == (20, 1.0, 0.0, 0.0, 2)
     assert (s.segments_matched, s.radius_error, s.length_error, s.total_length_bias) == (1.0, 0.0, 0.0, 0.0)
-    assert (s.junctions_found, s.n_junctions_false) == (1.0, 0)
+    assert (s.junctions_found, s.n_junctions_false, s.junction_offset) == (1.0, 0, 0.0)
     assert (s.n_trifurcations, s.trifurcations_found, s.n_trifurcations_false) == (3, 1.0, 0)
     assert s.elements_equal and s.elements_deviation == 0.0 and s.elements_found == s.elements_true
     assert s.centreline_offset < 0.03  # truth is sampled every tenth of a voxel
@@ -176,7 +176,7 @@ def test_scaled_radii_and_shifted_trees_are_measured(truth: Tree) -> None:
     assert s.radius_error == pytest.approx(0.1) and s.radius_bias == pytest.approx(-0.1)
     shifted = replace(truth, position_mm=truth.position_mm + np.array([0.0, 0.0, 3.0]))
     s = score(shifted, truth, 1.0)
-    assert s.tips_found == 1.0 and s.tip_offset == pytest.approx(3.0)
+    assert s.tips_found == 1.0 and [s.tip_offset, s.junction_offset] == pytest.approx([3.0, 3.0])
     assert s.length_error == pytest.approx(0.0, abs=1e-12)
     assert 1.0 < s.centreline_offset < 3.0  # less than the shift: it counts across the vessels alone
     assert score(shifted, truth, 0.5).tips_found == 0.0  # 6 voxels are beyond the tolerance of 5
