@@ -23,6 +23,7 @@ ROUNDS = 3
 SECTION_VOXELS = 1.0
 SMOOTHING_RADII = 2.0
 MIN_WINDOW = 0.15
+MAX_SHIFT_RADII = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,26 +77,49 @@ def refine(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thickness
     :param skeleton_voxel: (k,) voxel of each skeleton point.
     :param thickness_mm: (n,) distance map.
     """
-    centre = voxels.index_xyz(skeleton_voxel) * voxels.spacing_mm
     nodes = _Nodes(tree)
-    now = _first_guess(tree, centre, thickness_mm[skeleton_voxel])
-    coarse = now.radius_mm
+    now = _first_guess(voxels, tree, skeleton_voxel, thickness_mm[skeleton_voxel])
+    drawn = now
     for _ in range(ROUNDS):
-        now = _improve(voxels, nodes, now, coarse, _stations(voxels, now))
+        now = _improve(voxels, nodes, now, drawn, _stations(voxels, now))
     return now
 
 
-def _first_guess(tree: Branches, centre: np.ndarray, thickness: np.ndarray) -> Refined:
-    """The voxel chains, smoothed over a few voxels between their fixed ends."""
-    radius = np.array([np.median(thickness[tree.chain(b)]) for b in range(tree.n)])
-    point = centre[tree.point]
+def _first_guess(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thickness: np.ndarray) -> Refined:
+    """The voxel chains, smoothed over a few voxels between their fixed ends, and without their last stretch to a tip.
+
+    A chain begins or ends at a tip in the surface voxel that is farthest away, on a blunt end in a corner; there it is
+    taken only as far as :func:`_full` holds.
+    """
+    index = voxels.index_xyz(skeleton_voxel)
+    centre = index * voxels.spacing_mm
+    to_border = (np.minimum(index, np.array(voxels.shape[::-1]) - 1 - index) * voxels.spacing_mm).min(axis=1)
+    n_children = np.bincount(tree.parent + 1, minlength=tree.n + 1)
+    radius, chains = np.zeros(tree.n), []
     for b in range(tree.n):
-        chain = slice(tree.offset[b], tree.offset[b + 1])
-        smooth = gaussian_filter1d(point[chain], sigma=2.0, axis=0, mode="nearest")
-        smooth[0], smooth[-1] = point[chain][0], point[chain][-1]
-        point[chain] = smooth
-    node = np.concatenate((point[:1], point[tree.offset[1:] - 1]))
-    return Refined(node, point, tree.offset, radius, np.zeros(tree.n))
+        chain = tree.chain(b)
+        radius[b] = np.median(thickness[chain])
+        stem = tree.parent[b] == -1 and n_children[0] == 1
+        first = _full(thickness[chain], to_border[chain], radius[b]) if stem else 0
+        tip = n_children[b + 1] == 0
+        last = _full(thickness[chain][::-1], to_border[chain][::-1], radius[b]) if tip else 0
+        line = centre[chain[first : chain.size - last]] if first + last < chain.size - 1 else centre[chain]
+        smooth = gaussian_filter1d(line, sigma=2.0, axis=0, mode="nearest")
+        smooth[0], smooth[-1] = line[0], line[-1]
+        chains.append(smooth)
+    offset = np.concatenate(([0], np.cumsum([len(line) for line in chains]))).astype(np.int64)
+    point = np.concatenate(chains)
+    node = np.concatenate((point[:1], point[offset[1:] - 1]))
+    return Refined(node, point, offset, radius, np.zeros(tree.n))
+
+
+def _full(thickness: np.ndarray, to_border: np.ndarray, typical: float) -> int:
+    """How many points of a chain, seen from its tip, to leave out: up to where the distance map reaches three quarters
+    of its typical value, and, where the vessel leaves the volume, to where its inscribed ball fits into the volume."""
+    full = thickness >= 0.75 * typical
+    if to_border[0] == 0:
+        full &= to_border >= np.minimum(thickness, 0.5 * to_border.max())
+    return int(np.argmax(full))
 
 
 class _Nodes:
@@ -117,6 +141,13 @@ class _Nodes:
     def n(self) -> int:
         return int(self.degree.size)
 
+    def thickest(self, radius_mm: np.ndarray) -> np.ndarray:
+        """(n,) the largest radius among the branches that meet at each node."""
+        result = np.zeros(self.n)
+        np.maximum.at(result, self.proximal, radius_mm)
+        np.maximum.at(result, self.distal, radius_mm)
+        return result
+
 
 def _stations(voxels: Voxels, now: Refined) -> _Stations:
     """Cross-sections every voxel along the branches, and for each voxel the one of least power distance."""
@@ -134,14 +165,14 @@ def _stations(voxels: Voxels, now: Refined) -> _Stations:
     return _Stations(offset, position, tangent, arc, branch, of_voxel, along, count, total)
 
 
-def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, coarse: np.ndarray, stations: _Stations) -> Refined:
-    """One round: windows clear of the junctions, lines, nodes, centrelines, radii."""
+def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, drawn: Refined, stations: _Stations) -> Refined:
+    """One round, from the geometry ``now``, ``drawn`` being the first guess: windows clear of the junctions, lines, nodes, centrelines, radii."""
     low, high = _windows(nodes, now, stations, _outward(now, stations))
     lines = _lines(nodes, now, stations, low, high)
     low, high = _windows(nodes, now, stations, _outward(now, stations, lines))
     lines = _lines(nodes, now, stations, low, high)
-    radius = _radii(voxels, now, coarse, stations, low, high)
-    node = _solve_nodes(nodes, now, lines)
+    radius = _radii(voxels, now, drawn.radius_mm, stations, low, high)
+    node = _solve_nodes(nodes, now, lines, drawn.node_mm)
     _place_tips(voxels, nodes, stations, lines, radius, low, high, node)
     width = SMOOTHING_RADII * np.maximum(radius, float(voxels.spacing_mm.max()))
     centre = kernels.smooth_centres(
@@ -185,9 +216,7 @@ def _windows(
 
 def _lines(nodes: _Nodes, now: Refined, stations: _Stations, low: np.ndarray, high: np.ndarray) -> _Fit:
     """Lines through the sections next to each junction, as long as the vessels there are thick."""
-    thickest = np.zeros(nodes.n)
-    np.maximum.at(thickest, nodes.proximal, now.radius_mm)
-    np.maximum.at(thickest, nodes.distal, now.radius_mm)
+    thickest = nodes.thickest(now.radius_mm)
     parts = []
     for at_end, node in ((False, nodes.proximal), (True, nodes.distal)):
         reach = np.maximum(4.0 * now.radius_mm, 2.0 * thickest[node])
@@ -200,8 +229,12 @@ def _lines(nodes: _Nodes, now: Refined, stations: _Stations, low: np.ndarray, hi
     return _Fit(centre, direction, weight)
 
 
-def _solve_nodes(nodes: _Nodes, now: Refined, lines: _Fit) -> np.ndarray:
-    """Junctions as the points closest, in weighted least squares, to the lines that meet there."""
+def _solve_nodes(nodes: _Nodes, now: Refined, lines: _Fit, drawn_mm: np.ndarray) -> np.ndarray:
+    """Junctions as the points closest, in weighted least squares, to the lines that meet there.
+
+    Lines at an acute angle may meet far away: no junction moves farther than ``MAX_SHIFT_RADII`` times the thickest
+    radius there from where it was drawn, ``drawn_mm``.
+    """
     matrix = np.zeros((nodes.n, 3, 3))
     right = np.zeros((nodes.n, 3))
     total = np.zeros(nodes.n)
@@ -215,7 +248,11 @@ def _solve_nodes(nodes: _Nodes, now: Refined, lines: _Fit) -> np.ndarray:
     pull = np.where(total > 0, 0.01 * total, 1.0)
     matrix += pull[:, None, None] * np.eye(3)
     right += pull[:, None] * now.node_mm
-    return np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+    solved = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+    shift = solved - drawn_mm
+    size = np.sqrt((shift**2).sum(axis=1))
+    allowed = MAX_SHIFT_RADII * nodes.thickest(now.radius_mm)
+    return drawn_mm + shift * np.minimum(1.0, allowed / np.maximum(size, 1e-300))[:, None]
 
 
 def _place_tips(
