@@ -166,7 +166,10 @@ def _stations(voxels: Voxels, now: Refined) -> _Stations:
 
 
 def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, drawn: Refined, stations: _Stations) -> Refined:
-    """One round, from the geometry ``now``, ``drawn`` being the first guess: windows clear of the junctions, lines, nodes, centrelines, radii."""
+    """One round from the geometry ``now``, ``drawn`` being the first guess.
+
+    Windows clear of the junctions, lines through them, nodes where the lines meet, centrelines, radii.
+    """
     low, high = _windows(nodes, now, stations, _outward(now, stations))
     lines = _lines(nodes, now, stations, low, high)
     low, high = _windows(nodes, now, stations, _outward(now, stations, lines))
