@@ -264,3 +264,14 @@ def test_generate(tmp_path, capsys):
     assert {"flow_mm3_s", "pressure_pa"} <= set(grown.columns)
     run([*arguments, "-o", tmp_path / "again.vtp"], capsys)
     assert (tmp_path / "again.vtp").read_bytes() == (tmp_path / "tree.vtp").read_bytes()
+
+
+def test_demo(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out = run(["demo"], capsys)
+    assert set(contents(tmp_path / "vascval-demo")) >= {*REPORT, "cast.nrrd", "tree.vtp", "cast.vtp"}
+    again = json.loads(run(["compare", "vascval-demo/cast.nrrd", "vascval-demo/tree.vtp", "--json", "-"], capsys))
+    assert again["trees"][0]["summary"]["n_terminals"] == 100
+    # a tip whose vessel runs along its sibling is none in the image
+    assert 95 <= again["cast"]["summary"]["n_terminals"] <= 100
+    assert re.search(rf"^terminals +{again['cast']['summary']['n_terminals']} +100$", out, re.MULTILINE)
