@@ -208,6 +208,28 @@ def test_damaged_sizes(tmp_path: Path, capfd: pytest.CaptureFixture[str], sizes:
     refused(nrrd(tmp_path / "a.nrrd", bytes(24), sizes=sizes), capfd, "damaged")
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("NDims = 3", "NDims = 700"), ("NDims = 3", "NDims = 2"), ("NDims = 3", "NDims = 3\nNDims = 700"),
+     ("ElementSpacing = 1 1 1", "ElementSpacing = 1 1 1 1"), ("ElementSpacing = 1 1 1", "ElementSpacing = 1 x 1"),
+     ("DimSize = 4 3 2", "DimSize = 4 3 2 1 1 1 1 1 1 1 1 1 1"), ("NDims = 3", "NDims = 3\nTransformMatrix = 1 0"),
+     ("NDims = 3", "NDims = 3\nCompressedDataSize = 9 9"), ("NDims = 3\n", "")],
+)  # fmt: skip
+def test_meta_image_headers_that_do_not_add_up(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], old: str, new: str
+) -> None:
+    """Some of these make the library write beyond its arrays."""
+    path = tmp_path / "a.mha"
+    header = (
+        "ObjectType = Image\nNDims = 3\nElementSpacing = 1 1 1\nDimSize = 4 3 2\n"
+        "ElementType = MET_UCHAR\nElementDataFile = LOCAL\n"
+    )
+    path.write_bytes(header.encode() + bytes(24))
+    assert read_volume(path).values.shape == (2, 3, 4)
+    path.write_bytes(header.replace(old, new).encode() + bytes(24))
+    refused(path, capfd, "damaged")
+
+
 def _mhd(path: Path, data_file: str) -> None:
     path.write_text(
         "ObjectType = Image\nNDims = 3\nElementSpacing = 1 1 1\nDimSize = 4 3 2\n"
@@ -248,6 +270,8 @@ def test_a_detached_header_without_its_data(tmp_path: Path, capfd: pytest.Captur
     refused(tmp_path / f"a{suffix}", capfd, "holds 23 bytes of 24; it is truncated")
     (tmp_path / "a.raw").write_bytes(bytes(24))
     assert read_volume(tmp_path / f"a{suffix}").values.shape == (2, 3, 4)
+    WRITERS[suffix](tmp_path / f"a{suffix}", "a" * 2000)
+    refused(tmp_path / f"a{suffix}", capfd, "its data file 'a+' is missing")
 
 
 @pytest.mark.parametrize(

@@ -178,11 +178,14 @@ def _meta_image(path: Path, head: bytes) -> Header:
     data_at, names = len(head), []
     for match in re.finditer(rb"[ \t]*([^=:\r\n]*?)[ \t]*[=:][ \t]*([^\r\n]*)\r?\n?", head):
         key, value = match[1].decode("latin-1"), match[2].decode("utf-8", "replace").strip()
+        if key in fields:
+            raise InputError(f"{path}: the MetaImage header has {key[:40]} twice; the file is damaged")
         fields[key] = value
         if key == "ElementDataFile":
             data_at = match.end()
             break
     sizes = _integers(path, fields.get("DimSize", ""), "DimSize")
+    _require_meta_counts(path, fields, len(sizes))
     itemsize = _META_BYTES.get(re.sub(r"^MET_U?|_ARRAY$", "", fields.get("ElementType", "")))
     data = fields.get("ElementDataFile", "")
     if not sizes or itemsize is None or not data:
@@ -205,6 +208,23 @@ def _meta_image(path: Path, head: bytes) -> Header:
         texts=fields,
     )
 
+
+def _require_meta_counts(path: Path, fields: dict[str, str], n: int) -> None:
+    """As many numbers everywhere as there are axes: the library writes beyond its arrays otherwise."""
+    if fields.get("NDims") != str(n) or n > 4:
+        raise InputError(f"{path}: NDims is {fields.get('NDims', 'absent')[:40]} for {n} sizes; the header is damaged")
+    for key, count in _META_COUNTS.items():
+        words = fields.get(key, "").split()
+        if words and (len(words) != n**count or not all(_NUMBER.fullmatch(word) for word in words)):
+            raise InputError(f"{path}: {key} is {' '.join(words)[:60]!r} for {n} axes; the header is damaged")
+
+
+_META_COUNTS = {
+    **dict.fromkeys(("HeaderSize", "CompressedDataSize", "ElementNumberOfChannels"), 0),
+    **dict.fromkeys(("ElementSpacing", "ElementSize", "Offset", "Position", "Origin", "CenterOfRotation"), 1),
+    **dict.fromkeys(("TransformMatrix", "Rotation", "Orientation"), 2),
+}
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|nan|inf)", re.IGNORECASE)
 
 # --- NIfTI --------------------------------------------------------------------------------------------------------
 
@@ -305,11 +325,14 @@ def _confined(header: Path, name: str) -> Path:
     )
     if os.path.isabs(name) or "\\" in name or re.match(r"[A-Za-z]:", name) or "\0" in name:
         raise outside
-    folder = header.parent.resolve()
     file = header.parent / name
-    if ".." in Path(name).parts or not file.resolve().is_relative_to(folder):
-        raise outside
-    if not file.is_file():
+    try:
+        if ".." in Path(name).parts or not file.resolve().is_relative_to(header.parent.resolve()):
+            raise outside
+        there = file.is_file()
+    except OSError:  # the name is too long, or links lead in a circle
+        there = False
+    if not there:
         raise InputError(f"{header}: its data file {name!r} is missing; put it beside the header")
     return file
 

@@ -42,7 +42,8 @@ def read_legacy(path: Path) -> PolyData:
             raise InputError(f"{path}: is a VTK file with {found}; save the tree as POLYDATA")
         while reader.section():
             pass
-        data = reader.poly_data()
+        with np.errstate(invalid="ignore"):  # values that are not finite are looked for below
+            data = reader.poly_data()
     except (_Damaged, ValueError, OverflowError) as error:
         raise InputError(f"{path}: is no sound VTK file ({str(error)[:160]}); it is truncated or damaged") from error
     require_sound(path, data)
