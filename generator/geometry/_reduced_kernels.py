@@ -1,0 +1,214 @@
+"""Compiled sweeps behind :mod:`generator.geometry.reduced`: radii, volume, gradient, and the tree Laplacian.
+
+All loops run over a root-first parent array; ``i`` is a node and the segment that ends there. ``n`` is the number of
+terminals below, ``gamma`` the branching exponent at the node, ``factor`` the viscosity of the segment relative to the
+constant one.
+"""
+
+import math
+
+import numpy as np
+
+from vascval.core.jit import njit
+
+
+@njit
+def lengths(parent, position, eps, length):
+    """Smoothed lengths ``sqrt(|d|^2 + eps^2)``."""
+    for i in range(1, parent.size):
+        p = parent[i]
+        dx = position[i, 0] - position[p, 0]
+        dy = position[i, 1] - position[p, 1]
+        dz = position[i, 2] - position[p, 2]
+        length[i] = math.sqrt(dx * dx + dy * dy + dz * dz + eps * eps)
+
+
+@njit
+def radii(parent, length, n, gamma, factor, fixed_radius, stem, radius, rho, q, total):
+    """Leaf to root ``rho``, its power ``q = rho^(gamma/4)`` and their sums ``total`` at each node; then the radii.
+
+    ``fixed_radius`` (N,) is NaN where the radius follows; ``stem`` (N,) holds ``kappa Q_term / dp`` for the segments
+    that spring from a fixed node, ``dp`` being the pressure left there, and 0 for all others.
+    """
+    size = parent.size
+    for i in range(size):
+        total[i] = 0.0
+    for i in range(size - 1, 0, -1):
+        p = parent[i]
+        rho[i] = n[i] * length[i] * factor[i]
+        if total[i] > 0.0:
+            rho[i] += total[i] ** (4.0 / gamma[i])
+        q[i] = rho[i] ** (0.25 * gamma[p])
+        total[p] += q[i]
+    for i in range(size):
+        if fixed_radius[i] == fixed_radius[i]:
+            radius[i] = fixed_radius[i]
+        elif stem[i] > 0.0:
+            radius[i] = (stem[i] * rho[i]) ** 0.25
+        else:
+            p = parent[i]
+            radius[i] = radius[p] * math.sqrt(math.sqrt(rho[i])) / total[p] ** (1.0 / gamma[p])
+
+
+@njit
+def adjoint(parent, length, n, gamma, factor, free, rho, q, total, push, lift, below, slope, stretch):
+    """Derivatives of a cost by the lengths and by the viscosity factors, given those by radii and lengths.
+
+    With ``rho_i = n_i l_i f_i + S_i^(4/gamma)``, ``log r_c = log r_i + log(rho_c) / 4 - log(S_i) / gamma``: leaf to
+    root ``g_i``, the derivative by ``log r_i`` when all below scales along; root to leaf that by ``log rho_i``.
+
+    :param push: (N,) derivative of the cost by ``log r_i``, all else fixed.
+    :param lift: (N,) derivative of the cost by ``l_i``, all else fixed.
+    :param below: (N,) out: sum of ``g`` over the segments that spring from each node.
+    :param slope: (N,) out: derivative by ``l_i``.
+    :param stretch: (N,) out: derivative by ``log factor_i``.
+    """
+    size = parent.size
+    for i in range(size):
+        below[i] = 0.0
+    for i in range(size - 1, 0, -1):
+        if free[i]:
+            below[parent[i]] += push[i] + below[i]
+    for i in range(1, size):
+        if not free[i]:
+            slope[i] = 0.0
+            stretch[i] = 0.0
+            continue
+        p = parent[i]
+        by_rho = 0.25 * (push[i] + below[i])
+        if free[p]:
+            by_rho += slope[p] * 0.25 * gamma[p] * q[i] / total[p]
+        stretch[i] = by_rho * n[i] * length[i] * factor[i] / rho[i]
+        # until its children have been met, slope[i] holds the derivative by log S_i
+        slope[i] = (by_rho * 4.0 * (1.0 - n[i] * length[i] * factor[i] / rho[i]) - below[i]) / gamma[i]
+    for i in range(1, size):
+        if free[i]:
+            slope[i] = lift[i] + stretch[i] / length[i]
+
+
+@njit
+def pull(parent, position, moves, length, slope, gradient):
+    """Derivatives by the positions from those by the (smoothed) lengths; 0 for nodes that stay."""
+    size = parent.size
+    for i in range(size):
+        gradient[i, 0] = 0.0
+        gradient[i, 1] = 0.0
+        gradient[i, 2] = 0.0
+    for i in range(1, size):
+        p = parent[i]
+        c = slope[i] / length[i]
+        for k in range(3):
+            f = c * (position[i, k] - position[p, k])
+            gradient[i, k] += f
+            gradient[p, k] -= f
+    for i in range(size):
+        if not moves[i]:
+            gradient[i, 0] = 0.0
+            gradient[i, 1] = 0.0
+            gradient[i, 2] = 0.0
+
+
+@njit
+def solve_laplacian(parent, position, moves, length, slope, bend, rhs, diagonal, out):
+    """``out`` with ``H out = rhs`` at the nodes that move, 0 elsewhere; ``H`` is a tree Laplacian of 3 x 3 blocks.
+
+    Segment ``i`` adds ``w_i / l_i (I - bend d d^T / l_i^2)``: with ``bend`` 0 the majoriser of the weighted lengths,
+    with 1 their Hessian at fixed weights. Eliminating leaf to root makes no fill-in.
+
+    :param diagonal: (N, 6) scratch: blocks as xx, xy, xz, yy, yz, zz.
+    """
+    size = parent.size
+    for i in range(size):
+        for k in range(6):
+            diagonal[i, k] = 0.0
+        for k in range(3):
+            out[i, k] = rhs[i, k]
+    block = np.empty(6)
+    inverse = np.empty(6)
+    for i in range(1, size):
+        segment_block(parent, position, length, slope, bend, i, block)
+        for k in range(6):
+            diagonal[i, k] += block[k]
+            diagonal[parent[i], k] += block[k]
+    for i in range(size - 1, 0, -1):
+        p = parent[i]
+        if not (moves[i] and moves[p]):
+            continue
+        segment_block(parent, position, length, slope, bend, i, block)
+        invert(diagonal[i], inverse)
+        # C D^-1 first, times C and times the right-hand side
+        m00, m01, m02, m10, m11, m12, m20, m21, m22 = product(block, inverse)
+        b0, b1, b2, b3, b4, b5 = block[0], block[1], block[2], block[3], block[4], block[5]
+        diagonal[p, 0] -= m00 * b0 + m01 * b1 + m02 * b2
+        diagonal[p, 1] -= m00 * b1 + m01 * b3 + m02 * b4
+        diagonal[p, 2] -= m00 * b2 + m01 * b4 + m02 * b5
+        diagonal[p, 3] -= m10 * b1 + m11 * b3 + m12 * b4
+        diagonal[p, 4] -= m10 * b2 + m11 * b4 + m12 * b5
+        diagonal[p, 5] -= m20 * b2 + m21 * b4 + m22 * b5
+        x, y, z = out[i, 0], out[i, 1], out[i, 2]
+        out[p, 0] += m00 * x + m01 * y + m02 * z
+        out[p, 1] += m10 * x + m11 * y + m12 * z
+        out[p, 2] += m20 * x + m21 * y + m22 * z
+    for i in range(size):
+        if not moves[i]:
+            out[i, 0] = 0.0
+            out[i, 1] = 0.0
+            out[i, 2] = 0.0
+            continue
+        p = parent[i]
+        x, y, z = out[i, 0], out[i, 1], out[i, 2]
+        if moves[p]:
+            segment_block(parent, position, length, slope, bend, i, block)
+            x += block[0] * out[p, 0] + block[1] * out[p, 1] + block[2] * out[p, 2]
+            y += block[1] * out[p, 0] + block[3] * out[p, 1] + block[4] * out[p, 2]
+            z += block[2] * out[p, 0] + block[4] * out[p, 1] + block[5] * out[p, 2]
+        invert(diagonal[i], inverse)
+        out[i, 0] = inverse[0] * x + inverse[1] * y + inverse[2] * z
+        out[i, 1] = inverse[1] * x + inverse[3] * y + inverse[4] * z
+        out[i, 2] = inverse[2] * x + inverse[4] * y + inverse[5] * z
+
+
+@njit
+def segment_block(parent, position, length, slope, bend, i, block):
+    """``w / l (I - bend d d^T / l^2)`` of segment ``i``; a weight that is not positive counts as a small one."""
+    p = parent[i]
+    c = max(slope[i], 1e-9) / length[i]
+    b = c * bend / (length[i] * length[i])
+    x, y, z = position[i, 0] - position[p, 0], position[i, 1] - position[p, 1], position[i, 2] - position[p, 2]
+    block[0] = c - b * x * x
+    block[1] = -b * x * y
+    block[2] = -b * x * z
+    block[3] = c - b * y * y
+    block[4] = -b * y * z
+    block[5] = c - b * z * z
+
+
+@njit
+def invert(a, out):
+    """Inverse of a symmetric 3 x 3 matrix (xx, xy, xz, yy, yz, zz)."""
+    c0 = a[3] * a[5] - a[4] * a[4]
+    c1 = a[2] * a[4] - a[1] * a[5]
+    c2 = a[1] * a[4] - a[2] * a[3]
+    scale = 1.0 / (a[0] * c0 + a[1] * c1 + a[2] * c2)
+    out[0] = c0 * scale
+    out[1] = c1 * scale
+    out[2] = c2 * scale
+    out[3] = (a[0] * a[5] - a[2] * a[2]) * scale
+    out[4] = (a[1] * a[2] - a[0] * a[4]) * scale
+    out[5] = (a[0] * a[3] - a[1] * a[1]) * scale
+
+
+@njit
+def product(a, b):
+    """Product of two symmetric 3 x 3 matrices, row by row."""
+    return (
+        a[0] * b[0] + a[1] * b[1] + a[2] * b[2],
+        a[0] * b[1] + a[1] * b[3] + a[2] * b[4],
+        a[0] * b[2] + a[1] * b[4] + a[2] * b[5],
+        a[1] * b[0] + a[3] * b[1] + a[4] * b[2],
+        a[1] * b[1] + a[3] * b[3] + a[4] * b[4],
+        a[1] * b[2] + a[3] * b[4] + a[4] * b[5],
+        a[2] * b[0] + a[4] * b[1] + a[5] * b[2],
+        a[2] * b[1] + a[4] * b[3] + a[5] * b[4],
+        a[2] * b[2] + a[4] * b[4] + a[5] * b[5],
+    )
