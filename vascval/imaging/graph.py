@@ -117,20 +117,20 @@ def branches(order: np.ndarray, parent: np.ndarray, ends: np.ndarray) -> Branche
 def thickest_end(skeleton: SkeletonGraph, ends: np.ndarray, thickness_mm: np.ndarray) -> int:
     """The end point whose branch is the thickest: where the vessel enters.
 
-    The thickness of an end's branch is the median of the distance map between the end and the next junction, the last
-    stretch of one thickness before the tip left out, since the distance map falls off towards any tip.
+    The thickness of an end's branch is the median of the distance map between the end and the next junction; equal ones
+    are told apart by the mean.
     """
     order, parent = rooted(skeleton, int(ends[0]))
     tree = branches(order, parent, ends)
     at = thickness_mm[skeleton.voxel]
     n_children = np.bincount(tree.parent[tree.parent >= 0], minlength=tree.n)
-    best, best_thickness = int(ends[0]), -1.0
+    best, best_thickness = int(ends[0]), (-1.0, -1.0)
     for branch in range(tree.n):
         chain = tree.chain(branch)
         from_root = tree.parent[branch] == -1 and chain[0] == ends[0]
         if n_children[branch] and not from_root:
             continue
-        thickness = float(np.median(at[chain]))
+        thickness = (float(np.median(at[chain])), float(np.mean(at[chain])))
         end = int(chain[0]) if from_root else int(chain[-1])
         if thickness > best_thickness:
             best, best_thickness = end, thickness
