@@ -164,7 +164,7 @@ def convergence(tool: str, options: argparse.Namespace, folder: Path) -> list[di
     The tree has terminals of 2 mm in a box of half the size; the voxels go from 1 mm down to a half.
     """
     n_terminals = max(3, options.terminals // 8)
-    truth = grow(np.random.default_rng(0), n_terminals=n_terminals, size=options.size // 2, bend_mm=1.0)
+    truth = grow(np.random.default_rng(0), n_terminals=n_terminals, size=options.size // 2, bend_mm=options.bend)
     rows = []
     print("| voxel mm | " + " | ".join(ERRORS) + " | tips found |\n" + "|---" * (2 + len(ERRORS)) + "|")
     for voxel_mm in 2.0 ** -np.array([0.0, 1 / 3, 2 / 3, 1.0]):
