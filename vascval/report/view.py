@@ -1,0 +1,176 @@
+"""Pictures of trees in space: an interactive window, or a file drawn without a display."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vascval.core.errors import ComputationError
+from vascval.core.tree import Tree
+from vascval.io.atomic import atomic_file
+from vascval.report.scene import Surface, Tubes, Viewpoint, bounds_mm, scale_bar_mm, tubes, viewpoint
+from vascval.report.style import INK, SURFACE, TREES, Series, rc
+
+_WIDTH, _HEIGHT = 1600, 1200
+
+_PROBE = """
+import pyvista
+plotter = pyvista.Plotter(off_screen=True, window_size=(32, 32))
+plotter.set_background("black")
+plotter.add_mesh(pyvista.Plane(), color="white", lighting=False)
+raise SystemExit(0 if plotter.screenshot(return_img=True).max() > 128 else 3)
+"""
+
+
+def view(tree: Tree, *, screenshot: Path | None = None, surface: Surface | None = None) -> None:
+    """Show ``tree`` as tubes of its radii: in a window, or as a PNG file ``screenshot``, both with a scale bar.
+
+    A file needs no display: VTK takes an X server, EGL or Mesa's software renderer, whichever there is.
+
+    :raises ComputationError: when nothing can be drawn on this machine.
+    """
+    layers = [tubes(tree, Series("tree", "tree", *TREES[0]))]
+    if screenshot is not None:
+        write_picture(screenshot, layers, surface=surface)
+        return
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ComputationError("no window can be opened here (no display); pass --screenshot FILE.png to draw a file")
+    plotter = _plotter(layers, surface, viewpoint(*bounds_mm(surface, layers)), off_screen=False)
+    plotter.add_legend_scale()
+    plotter.show(title="vascval")
+
+
+@lru_cache(maxsize=1)
+def can_render() -> bool:
+    """Whether VTK can draw off-screen. Tried in a process of its own: a missing driver may end a process."""
+    try:
+        done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, timeout=120, check=False)
+    except subprocess.TimeoutExpired:
+        return False
+    return done.returncode == 0
+
+
+def write_picture(path: Path, layers: Sequence[Tubes], *, surface: Surface | None = None) -> str:
+    """A PNG of the tubes and the translucent surface in parallel projection; returns the view in words.
+
+    :raises ComputationError: when VTK cannot draw on this machine.
+    """
+    if not can_render():
+        raise ComputationError(
+            "VTK cannot draw without a display here; install EGL or OSMesa (Debian: libegl1 libgl1-mesa-dri libosmesa6) "
+            "with vtk 9.4 or newer, or set DISPLAY"
+        )
+    seen = viewpoint(*bounds_mm(surface, layers))
+    plotter = _plotter(layers, surface, seen, off_screen=True)
+    pixels = plotter.screenshot(return_img=True)
+    plotter.close()
+    figure, axes = _frame(seen)
+    half_w, half_h = _shown(seen)
+    axes.imshow(pixels, extent=(-half_w, half_w, -half_h, half_h), interpolation="none")
+    _finish(path, figure, axes, layers, surface)
+    return seen.words
+
+
+def write_flat_picture(path: Path, layers: Sequence[Tubes], *, surface: Surface | None = None) -> str:
+    """The same picture without VTK: projected tubes of true width, nearest last, and the surface as a shadow."""
+    from matplotlib.collections import LineCollection
+
+    seen = viewpoint(*bounds_mm(surface, layers))
+    figure, axes = _frame(seen)
+    points_per_mm = _HEIGHT / 200.0 * 72.0 / (2.0 * _shown(seen)[1])
+    if surface is not None:
+        flat = (surface.points_mm - seen.centre_mm) @ seen.axes.T
+        axes.scatter(flat[:, 0], flat[:, 1], s=1.0, color=SURFACE, alpha=0.25, linewidths=0, rasterized=True)
+    for layer in layers:
+        start, end = ((p - seen.centre_mm) @ seen.axes.T for p in (layer.start_mm, layer.end_mm))
+        near_last = np.argsort(start[:, 2] + end[:, 2], kind="stable")
+        start, end, radius = start[near_last, :2], end[near_last, :2], layer.radius_mm[near_last]
+        width = np.maximum(2.0 * radius * points_per_mm, 0.3)
+        lines = np.stack((start, end), axis=1)
+        drawn = LineCollection(lines, linewidths=width, colors=layer.series.colour, capstyle="round")
+        axes.add_collection(drawn, autolim=False)
+    _finish(path, figure, axes, layers, surface)
+    return seen.words
+
+
+def _shown(seen: Viewpoint) -> tuple[float, float]:
+    """Half width and half height (mm) of the picture: the region to be seen, widened to the picture's shape."""
+    half_height = max(seen.half_height_mm, seen.half_width_mm * _HEIGHT / _WIDTH)
+    return half_height * _WIDTH / _HEIGHT, half_height
+
+
+def _plotter(layers: Sequence[Tubes], surface: Surface | None, seen: Viewpoint, *, off_screen: bool) -> Any:
+    import pyvista
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # trying one renderer after the other warns each time
+    plotter = pyvista.Plotter(off_screen=off_screen, window_size=(_WIDTH, _HEIGHT))
+    plotter.set_background("white")
+    plotter.enable_anti_aliasing("ssaa")
+    for layer in layers:
+        if len(layer.radius_mm):
+            plotter.add_mesh(_tube_mesh(layer), color=layer.series.colour, specular=0.15, smooth_shading=True)
+    if surface is not None:
+        mesh = pyvista.PolyData.from_regular_faces(surface.points_mm, surface.triangles)
+        plotter.enable_depth_peeling()
+        plotter.add_mesh(mesh, color=SURFACE, opacity=0.35, smooth_shading=True)
+    right, up, back = seen.axes
+    distance = 10.0 * max(_shown(seen))
+    plotter.enable_parallel_projection()
+    plotter.camera.position = seen.centre_mm + distance * back
+    plotter.camera.focal_point = seen.centre_mm
+    plotter.camera.up = up
+    plotter.camera.parallel_scale = _shown(seen)[1]
+    plotter.reset_camera_clipping_range()
+    return plotter
+
+
+def _tube_mesh(layer: Tubes) -> Any:
+    import pyvista
+
+    n = len(layer.radius_mm)
+    points = np.stack((layer.start_mm, layer.end_mm), axis=1).reshape(-1, 3)
+    cells = np.column_stack((np.full(n, 2), 2 * np.arange(n), 2 * np.arange(n) + 1))
+    mesh = pyvista.PolyData(points, lines=cells.ravel())
+    mesh["radius_mm"] = np.repeat(layer.radius_mm, 2)
+    return mesh.tube(scalars="radius_mm", absolute=True, n_sides=12, capping=True)
+
+
+def _frame(seen: Viewpoint) -> tuple[Any, Any]:
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context(rc()):
+        figure = Figure(figsize=(_WIDTH / 200.0, _HEIGHT / 200.0), dpi=200)
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    half_w, half_h = _shown(seen)
+    axes.set(xlim=(-half_w, half_w), ylim=(-half_h, half_h), aspect="equal")
+    axes.axis("off")
+    return figure, axes
+
+
+def _finish(path: Path, figure: Any, axes: Any, layers: Sequence[Tubes], surface: Surface | None) -> None:
+    """Add scale bar and legend and write the file."""
+    from matplotlib import rc_context
+    from matplotlib.patches import Patch
+
+    left, right = axes.get_xlim()
+    bottom, top = axes.get_ylim()
+    bar = scale_bar_mm(right - left)
+    x, y = right - 0.03 * (right - left), bottom + 0.05 * (top - bottom)
+    axes.plot((x - bar, x), (y, y), color=INK, linewidth=2.0, solid_capstyle="butt", scalex=False, scaley=False)
+    axes.text(x - bar / 2.0, y + 0.015 * (top - bottom), f"{bar:g} mm", ha="center", va="bottom", fontsize=9, color=INK)
+    handles = [Patch(color=layer.series.colour, label=layer.series.label) for layer in layers]
+    if surface is not None:
+        handles.append(Patch(color=SURFACE, alpha=0.5, label="surface of the cast"))
+    with rc_context(rc()):
+        axes.legend(handles=handles, loc="upper left", fontsize=9)
+        with atomic_file(path) as temporary:
+            figure.savefig(temporary, format="png", metadata={"Software": None})
