@@ -31,12 +31,20 @@ class _Model(BaseModel):
 class DomainConfig(_Model):
     """Where the tree grows: a box, a file (label volume or closed surface) or a bundled shape."""
 
-    box_mm: Point | None = Field(None, description="sides of an axis-parallel box with one corner at the origin")
-    file: Path | None = Field(None, description="label volume (NRRD, NIfTI, ...) or closed surface (STL, OBJ, VTK, VTP)")
-    shape: Literal["liver", "horseshoe", "ball"] | None = Field(None, description="a bundled analytic shape")
-    label: int | None = Field(None, description="label of the volume that is the domain; default: all but 0")
-    closing_mm: float = Field(0.0, ge=0.0, description="close gaps in a label volume that are narrower than twice this")
-    keep: Literal["all", "largest"] = Field("all", description="of a domain in several pieces: refuse, or the largest")
+    box_mm: Point | None = Field(
+        default=None, description="sides of an axis-parallel box with one corner at the origin"
+    )
+    file: Path | None = Field(
+        default=None, description="label volume (NRRD, NIfTI) or closed surface (STL, OBJ, VTK, VTP)"
+    )
+    shape: Literal["liver", "horseshoe", "ball"] | None = Field(default=None, description="a bundled analytic shape")
+    label: int | None = Field(default=None, description="label of the volume that is the domain; default: all but 0")
+    closing_mm: float = Field(
+        default=0.0, ge=0.0, description="close gaps in a label volume that are narrower than twice this"
+    )
+    keep: Literal["all", "largest"] = Field(
+        default="all", description="of a domain in several pieces: refuse, or the largest"
+    )
 
     @model_validator(mode="after")
     def _one_kind(self) -> DomainConfig:
@@ -53,34 +61,46 @@ class PerfusionConfig(_Model):
     root_pressure_mmhg: float = Field(description="pressure at the root")
     terminal_pressure_mmhg: float = Field(description="pressure at every terminal")
     flow_ml_min: float = Field(gt=0.0, description="flow through the root")
-    viscosity_cp: float = Field(3.6, gt=0.0, description="viscosity of blood")
+    viscosity_cp: float = Field(default=3.6, gt=0.0, description="viscosity of blood")
 
 
 class GrowthConfig(_Model):
     """Rules of growth, see :class:`generator.growth.growth.GrowthOptions`."""
 
-    spacing: float = Field(0.4, ge=0.0, description="distance of a new terminal from the tree, in mean spacings")
-    diameters: float = Field(1.0, ge=0.0, description="shortest length of a new segment, in its diameters")
-    l_min_mm: float = Field(0.0, ge=0.0, description="shortest length of a new segment")
-    merge_mm: float | None = Field(None, ge=0.0, description="connect to the proximal node when the bifurcation is nearer")
-    r_min_mm: float = Field(0.0, ge=0.0, description="smallest radius of a new terminal")
-    at_r_min: Literal["stop", "error"] = Field("error", description="what happens when it is reached")
-    avoid_intersections: bool = Field(False, description="vessels that share no node do not overlap")
+    spacing: float = Field(
+        default=0.4, ge=0.0, description="distance of a new terminal from the tree, in mean spacings"
+    )
+    diameters: float = Field(default=1.0, ge=0.0, description="shortest length of a new segment, in its diameters")
+    l_min_mm: float = Field(default=0.0, ge=0.0, description="shortest length of a new segment")
+    merge_mm: float | None = Field(
+        default=None, ge=0.0, description="bifurcations nearer to the proximal node go there"
+    )
+    r_min_mm: float = Field(default=0.0, ge=0.0, description="smallest radius of a new terminal")
+    at_r_min: Literal["stop", "error"] = Field(default="error", description="what happens when it is reached")
+    avoid_intersections: bool = Field(default=False, description="vessels that share no node do not overlap")
 
 
 class Config(_Model):
     """Everything that decides a tree."""
 
-    method: Literal["cco", "geometry", "full"] = Field("cco", description="growth alone, with geometry, with topology too")
-    seed: int = Field(1, ge=0, description="of the random numbers: same seed, same tree")
+    method: Literal["cco", "geometry", "full"] = Field(
+        default="cco", description="growth, with geometry, with topology"
+    )
+    seed: int = Field(default=1, ge=0, description="of the random numbers: same seed, same tree")
     n_terminals: int = Field(ge=1, description="terminals to grow; ignored with terminals_file")
-    n_connections: int = Field(32, ge=1, description="nearest segments tried for each new terminal")
+    n_connections: int = Field(default=32, ge=1, description="nearest segments tried for each new terminal")
     gamma: float = Field(ge=2.0, le=3.0, description="branching exponent of Murray's law")
-    viscosity: Literal["constant", "fahraeus-lindqvist"] = Field("constant", description="how viscosity depends on radius")
-    root_mm: Point | None = Field(None, description="where blood enters; bundled shapes have a place of their own")
-    root_tree: Path | None = Field(None, description="tree file whose segments and radii are given; growth begins at its ends")
-    terminals_file: Path | None = Field(None, description="CSV with columns x_mm, y_mm, z_mm; the first row is the root")
-    terminals_order: Literal["spread", "given", "random"] = Field("spread", description="order of insertion of given terminals")
+    viscosity: Literal["constant", "fahraeus-lindqvist"] = Field(
+        default="constant", description="how it depends on radius"
+    )
+    root_mm: Point | None = Field(default=None, description="where blood enters; bundled shapes have their own")
+    root_tree: Path | None = Field(
+        default=None, description="tree whose segments and radii are given; its ends grow on"
+    )
+    terminals_file: Path | None = Field(default=None, description="CSV with x_mm, y_mm, z_mm; first row: the root")
+    terminals_order: Literal["spread", "given", "random"] = Field(
+        default="spread", description="in which they are inserted"
+    )
     domain: DomainConfig
     perfusion: PerfusionConfig
     growth: GrowthConfig = GrowthConfig()

@@ -1,4 +1,4 @@
-"""Where a tree may grow. Every domain answers: volume, contains, is this segment inside, sample, distance to the wall."""
+"""Where a tree may grow. A domain answers: volume, contains, segment inside, uniform sample, distance to the wall."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from generator import _domain_kernels as kernels
 from generator._domain_kernels import Space
@@ -58,7 +59,8 @@ class Domain(ABC):
             away = -float(self.wall_distance_mm(point[None])[0])
             low, high = np.round(self.lower_mm, 3).tolist(), np.round(self.upper_mm, 3).tolist()
             raise InputError(
-                f"{what} ({at}) lies outside the domain, {away:.3g} mm from it; the domain extends from {low} to {high} mm"
+                f"{what} ({at}) lies outside the domain, {away:.3g} mm from it; choose a point inside, "
+                f"between {low} and {high} mm"
             )
 
 
@@ -74,12 +76,12 @@ class Box(Domain):
 
     name = "box"
 
-    def __init__(self, size_mm: np.ndarray, origin_mm: np.ndarray = (0.0, 0.0, 0.0)) -> None:
+    def __init__(self, size_mm: ArrayLike, origin_mm: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         size, origin = np.asarray(size_mm, dtype=np.float64), np.asarray(origin_mm, dtype=np.float64)
         if size.shape != (3,) or not (np.isfinite(size).all() and (size > 0).all()):
             raise InputError(f"a box with sides {size.tolist()} mm has no volume; three positive sides are needed")
         if origin.shape != (3,) or not np.isfinite(origin).all():
-            raise InputError(f"the corner of the box, {origin.tolist()}, is no point; three finite coordinates are needed")
+            raise InputError(f"the corner of the box, {origin.tolist()}, is no point; give three finite coordinates")
         self.lower_mm, self.upper_mm = origin, origin + size
         self.volume_mm3 = float(size.prod())
 
@@ -89,7 +91,7 @@ class Box(Domain):
 
     def contains(self, points_mm: np.ndarray) -> np.ndarray:
         points = _points(points_mm)
-        return ((points >= self.lower_mm) & (points <= self.upper_mm)).all(axis=1)
+        return np.all((points >= self.lower_mm) & (points <= self.upper_mm), axis=1)
 
     def wall_distance_mm(self, points_mm: np.ndarray) -> np.ndarray:
         points = _points(points_mm)

@@ -69,8 +69,9 @@ class SurfaceDomain(Domain):
         points = _points(points_mm)
         finite = np.isfinite(points).all(axis=1)
         inside = kernels.points_inside(
-            self._space, self._lower, self._cell, self._reference, self._known, np.where(finite[:, None], points, -np.inf)
-        )
+            self._space, self._lower, self._cell, self._reference, self._known,
+            np.where(finite[:, None], points, self._lower - 1.0),
+        )  # fmt: skip
         return inside & finite
 
     def wall_distance_mm(self, points_mm: np.ndarray) -> np.ndarray:

@@ -28,7 +28,12 @@ class VoxelDomain(Domain):
     name = "volume"
 
     def __init__(
-        self, volume: Volume, *, label: int | None = None, closing_mm: float = 0.0, keep: Literal["all", "largest"] = "all"
+        self,
+        volume: Volume,
+        *,
+        label: int | None = None,
+        closing_mm: float = 0.0,
+        keep: Literal["all", "largest"] = "all",
     ) -> None:
         mask = volume.values != 0 if label is None else volume.values == label
         if not mask.any():
@@ -59,8 +64,9 @@ class VoxelDomain(Domain):
 
     def contains(self, points_mm: np.ndarray) -> np.ndarray:
         points = _points(points_mm)
-        cell = np.floor(points @ self.space.to_cell[:, :3].T + self.space.to_cell[:, 3])
-        within = (np.isfinite(cell) & (cell >= 0) & (cell < self._state.shape)).all(axis=1)
+        finite = np.isfinite(points).all(axis=1)
+        cell = np.floor(np.where(finite[:, None], points, 0.0) @ self.space.to_cell[:, :3].T + self.space.to_cell[:, 3])
+        within = finite & ((cell >= 0) & (cell < self._state.shape)).all(axis=1)
         i, j, k = np.where(within[:, None], cell, 0).astype(np.int64).T
         return within & (self._state[i, j, k] == 1)
 

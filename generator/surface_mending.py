@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from generator import _surface_kernels as kernels
@@ -64,8 +66,8 @@ def _filled(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> tuple[np
     if (count > 2).any():
         at = points[edges[count > 2][0]].mean(axis=0).round(2).tolist()
         raise InputError(
-            f"{np.count_nonzero(count > 2)} edges of the surface belong to more than two triangles (first: near {at}); "
-            "it is no boundary of a body: mend it"
+            f"{np.count_nonzero(count > 2)} edges of the surface belong to more than two triangles (first: near "
+            f"{at}); it is no boundary of a body: mend it"
         )
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     _, _, index = _edges(faces)
@@ -83,12 +85,12 @@ def _filled(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> tuple[np
         if loop[0] != loop[-1] or length > limit:
             at = points[loop].mean(axis=0).round(2).tolist()
             raise InputError(
-                f"the surface is open: a hole with an edge of {length:.3g} mm near {at} is too wide to be filled without "
-                "guessing; close it"
+                f"the surface is open: a hole with an edge of {length:.3g} mm near {at} is too wide to be filled "
+                "without guessing; close it"
             )
         centre = len(points)
         points = np.vstack([points, points[loop[:-1]].mean(axis=0)])
-        fan = [(a, b, centre) for a, b in zip(loop[:-1], loop[1:])]
+        fan = [(a, b, centre) for a, b in pairwise(loop)]
         faces = np.vstack([faces, np.array(fan, dtype=np.int64)])
         loops += 1
     notes.append(f"{loops} holes of the surface were filled")
@@ -118,8 +120,8 @@ def _turned_alike(faces: np.ndarray, notes: list[str]) -> np.ndarray:
         np.zeros((int(faces.max()) + 1, 3)), np.column_stack([np.full(count, 3), faces]).ravel()
     )
     turned = surface.compute_normals(
-        cell_normals=False, point_normals=True, consistent_normals=True, split_vertices=False, auto_orient_normals=False,
-        non_manifold_traversal=False,
+        cell_normals=False, point_normals=True, consistent_normals=True, split_vertices=False,
+        auto_orient_normals=False, non_manifold_traversal=False,
     )  # fmt: skip
     result = np.asarray(turned.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
     directed = result[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
@@ -153,7 +155,8 @@ def _one_body(
             )
         notes.append(f"the largest of {len(bodies)} bodies was taken")
     body = bodies[0]
-    chosen = [body, *(c for c in kept if len(depth[c]) % 2 == 1 and body in depth[c] and len(depth[c]) == len(depth[body]) + 1)]
+    level = len(depth[body]) + 1
+    chosen = [body, *(c for c in kept if body in depth[c] and len(depth[c]) == level)]
     if len(chosen) > 1:
         notes.append(f"{len(chosen) - 1} cavities inside the surface are outside the domain")
     outward = []

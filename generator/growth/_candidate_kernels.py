@@ -4,9 +4,9 @@ A new terminal changes ``rho`` and ``v`` along one path to the root alone. Let s
 the bifurcation ``b``. ``rho`` and ``v`` of the segment ``p b`` are carried up that path, and on the way down again the
 derivatives of the cost ``F = log(rho)/2 + log(v)`` at the stem. What was found at a segment during the tests of this
 terminal is kept (``Store.visit``): the paths of neighbours run together soon, and where one meets a visited segment
-with values that differ by less than ``NEAR`` relatively, the rest of the way is ``F`` to first order. What is neglected is
-of second order, about ``NEAR`` times the difference in cost between the two candidates: it can only swap candidates that
-are as good as equal. What is then inserted is computed exactly. Half of the time is saved at 6,000 terminals.
+with values that differ by less than ``NEAR`` relatively, the rest of the way is ``F`` to first order. What is neglected
+is of second order, about ``NEAR`` times the difference in cost between the two candidates: it can only swap candidates
+that are as good as equal. What is then inserted is computed exactly. Half of the time is saved at 6,000 terminals.
 
 With the derivatives fixed, F changes with the three lengths at ``b`` by the weights ``w = n dF/drho + dF/dv``, and the
 best ``b`` is the weighted Fermat point of three points, known in closed form; a few such rounds converge.
@@ -43,7 +43,7 @@ def climb(r, q_before, t_before, rho, v, gamma):
 @njit
 def walk(store, start, rho, v):
     """Cost of the stem, and its derivatives by ``rho`` and ``v`` of segment ``start``, when they take these values."""
-    mark = store.count[2]
+    mark = store.counts[2]
     below = -1
     i = start
     while True:

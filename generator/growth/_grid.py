@@ -29,7 +29,7 @@ class SegmentGrid:
 
     def renew(self) -> None:
         """Lay the grid for the tree as it is now."""
-        n_terminals = max(int(self._store.count[1]), 1)
+        n_terminals = max(int(self._store.counts[1]), 1)
         self._good_until = _DOUBLING * n_terminals
         self.cell_mm = _CELL * (self._domain.volume_mm3 / n_terminals) ** (1 / 3)
         self._lay()
@@ -42,7 +42,7 @@ class SegmentGrid:
     def _lay(self) -> None:
         size = self._domain.upper_mm - self._domain.lower_mm
         shape = np.maximum(np.ceil(size / self.cell_mm).astype(np.int64), 1)
-        self._entries = max(self._entries, _ENTRIES_PER_SEGMENT * int(self._store.count[0]), 16 * int(shape.sum() + 3))
+        self._entries = max(self._entries, _ENTRIES_PER_SEGMENT * int(self._store.counts[0]), 16 * int(shape.sum() + 3))
         while True:
             link = np.arange(1, self._entries + 1, dtype=np.int32)
             link[-1] = -1
@@ -50,7 +50,7 @@ class SegmentGrid:
             head = np.full(tuple(shape), -1, np.int32)
             free = np.array([0, self._entries], np.int64)
             self.grid = Grid(np.ascontiguousarray(self._domain.lower_mm), float(self.cell_mm), head, link, owner, free)
-            size = int(self._store.count[0])
+            size = int(self._store.counts[0])
             if fill(self.grid, self._store.segment, 1, size) == size:
                 return
             self._entries *= 2

@@ -31,10 +31,10 @@ def prepare_stem(store, stems, j):
 
     Volumes are divided by ``pi sqrt(kappa Q_term)``: stem ``i`` has ``exp(F_i) / sqrt(dp_i)``.
     """
-    if stems.mark[j] == store.count[2]:
+    if stems.mark[j] == store.counts[2]:
         return
-    stems.mark[j] = store.count[2]
-    flow = stems.flow_mm3_s / (store.count[1] + 1)
+    stems.mark[j] = store.counts[2]
+    flow = stems.flow_mm3_s / (store.counts[1] + 1)
     stems.others[j] = 0.0
     stems.own[j] = np.inf
     for i in range(stems.top.size):
@@ -88,7 +88,10 @@ def long_enough(rules, found):
     d = 2.0 * rules.diameters
     shortest = rules.shortest_mm
     return (
-        lp >= max(d * rp, shortest) and ls >= max(d * rs, shortest) and lt >= max(d * rt, shortest) and lp * ls * lt > 0.0
+        lp >= max(d * rp, shortest)
+        and ls >= max(d * rs, shortest)
+        and lt >= max(d * rt, shortest)
+        and lp * ls * lt > 0.0
     )
 
 
@@ -125,8 +128,8 @@ def fits(store, rules, grid, space, s, bx, by, bz, x, y, z, found):
 @njit
 def connect(store, stems, rules, grid, space, x, y, z, near, distance):
     """Test the segments nearest to the point and take the best connection; ``PLACED``, ``REFUSED`` or ``TOO_THIN``."""
-    store.count[2] += 1
-    n_near = nearest(grid, store.segment, x, y, z, store.count[2], near, distance)
+    store.counts[2] += 1
+    n_near = nearest(grid, store.segment, x, y, z, store.counts[2], near, distance)
     best, best_s, best_x, best_y, best_z = np.inf, np.int64(-1), 0.0, 0.0, 0.0
     best_p, best_d, best_radius = 0.0, 0.0, 0.0
     merge, thin = False, False
@@ -137,7 +140,7 @@ def connect(store, stems, rules, grid, space, x, y, z, near, distance):
         own, others = stems.own[r.stem], stems.others[r.stem]
         if s < store.n_fixed or not np.isfinite(own):
             continue
-        scale = np.sqrt(stems.kappa_pa_s * stems.flow_mm3_s / (store.count[1] + 1)) * own
+        scale = np.sqrt(stems.kappa_pa_s * stems.flow_mm3_s / (store.counts[1] + 1)) * own
         fine, found, bx, by, bz, at_node = propose(store, rules, s, x, y, z, scale)
         if at_node and rules.merge_mm >= 0.0 and r.parent >= store.n_fixed:
             cost, radius = merged(store, s, x, y, z, scale)
@@ -165,7 +168,7 @@ def connect(store, stems, rules, grid, space, x, y, z, near, distance):
         attach(store, grid, np.int64(store.segment[best_s].parent), x, y, z, best_radius)
     else:
         cut(store, grid, best_s, best_x, best_y, best_z, best_p, best_d)
-        attach(store, grid, store.count[0] - 1, x, y, z, best_radius)
+        attach(store, grid, store.counts[0] - 1, x, y, z, best_radius)
     add_one(store, stems)
     return PLACED
 
@@ -173,8 +176,8 @@ def connect(store, stems, rules, grid, space, x, y, z, near, distance):
 @njit
 def new_segment(store, parent, ax, ay, az, bx, by, bz, stem, radius):
     """A segment without children, entered among those of its parent node; returns its index."""
-    i = store.count[0]
-    store.count[0] += 1
+    i = store.counts[0]
+    store.counts[0] += 1
     r = store.segment[i]
     r.parent, r.child, r.stem, r.seen, r.n = parent, -1, stem, 0, 0
     r.sibling = store.segment[parent].child
@@ -183,8 +186,8 @@ def new_segment(store, parent, ax, ay, az, bx, by, bz, stem, radius):
     r.length = length_between(ax, ay, az, bx, by, bz)
     r.radius = radius
     if radius > store.thin[0]:
-        store.thick[store.count[5]] = i
-        store.count[5] += 1
+        store.thick[store.counts[5]] = i
+        store.counts[5] += 1
     return i
 
 
@@ -215,7 +218,7 @@ def attach(store, grid, p, x, y, z, radius):
     """A new terminal that springs from node ``p``."""
     above = store.segment[p]
     t = new_segment(store, p, above.bx, above.by, above.bz, x, y, z, above.stem, radius)
-    store.count[1] += 1
+    store.counts[1] += 1
     register(grid, store.segment[t], t, np.bool_(True))
 
 
@@ -249,7 +252,7 @@ def gather(store, i):
 @njit
 def add_one(store, stems):
     """Bring the path from the newest terminal to its stem up to date: one terminal more."""
-    i = store.count[0] - 1
+    i = store.counts[0] - 1
     while i >= store.n_fixed:
         store.segment[i].n += 1
         gather(store, i)
@@ -271,25 +274,25 @@ def grow(store, stems, rules, grid, space, points, outcome, spacing_mm, target, 
     """
     nx, ny, nz = grid.head.shape
     room = 4 * (nx + ny + nz + 3)
-    while store.count[1] < target:
-        at = store.count[3]
+    while store.counts[1] < target:
+        at = store.counts[3]
         if at >= len(points):
             return NO_MORE_POINTS
         if grid.free[1] < room:
             return NO_ROOM
         x, y, z = points[at]
-        store.count[3] += 1
+        store.counts[3] += 1
         if spacing_mm >= 0.0:
-            apart = spacing_mm / (store.count[1] + 1) ** (1.0 / 3.0) * 0.9 ** (store.count[4] // 10)
+            apart = spacing_mm / (store.counts[1] + 1) ** (1.0 / 3.0) * 0.9 ** (store.counts[4] // 10)
             if anything_within(grid, store.segment, x, y, z, apart):
-                store.count[4] += 1
+                store.counts[4] += 1
                 continue
         outcome[at] = connect(store, stems, rules, grid, space, x, y, z, near, distance)
         if outcome[at] == PLACED:
-            store.count[4] = 0
+            store.counts[4] = 0
         else:
-            store.count[4] += 1
-            if outcome[at] == TOO_THIN or (spacing_mm >= 0.0 and store.count[4] > STRANDED):
+            store.counts[4] += 1
+            if outcome[at] == TOO_THIN or (spacing_mm >= 0.0 and store.counts[4] > STRANDED):
                 return STUCK
     return DONE
 
@@ -304,16 +307,16 @@ def begin(store, stems, grid, node, x, y, z):
     while stems.top[j] >= 0:
         j += 1
     store.segment[t].stem = j
-    store.count[1] += 1
+    store.counts[1] += 1
     register(grid, store.segment[t], t, np.bool_(True))
     add_one(store, stems)
 
 
 @njit
 def load(store, stems, parent, position):
-    """Fill the store with a tree (``parent`` (N,) root first, its first ``n_fixed`` nodes fixed, ``position`` (N, 3))."""
+    """Fill the store with a tree: ``parent`` (N,), root first, the fixed nodes before all; ``position`` (N, 3)."""
     size = parent.size
-    store.count[0] = size
+    store.counts[0] = size
     for i in range(size):
         r = store.segment[i]
         p = max(parent[i], 0)
@@ -325,7 +328,7 @@ def load(store, stems, parent, position):
         r = store.segment[i]
         if r.child < 0 and i >= store.n_fixed:
             r.n = 1
-            store.count[1] += 1
+            store.counts[1] += 1
         gather(store, i)
         r.sibling = store.segment[r.parent].child
         store.segment[r.parent].child = i

@@ -39,7 +39,7 @@ def square_between(ax, ay, az, bx, by, bz, r):
 def meets(store, o, ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
     """Does vessel ``o`` overlap one from ``a`` to ``b``, ``node_a`` to ``node_b``, that shares no node with it?"""
     r = store.segment[o]
-    if o == 0 or o == skip or o == node_a or o == node_b or r.parent == node_a or r.parent == node_b:
+    if o in (0, skip, node_a, node_b) or r.parent in (node_a, node_b):
         return False
     return square_between(ax, ay, az, bx, by, bz, r) < (margin * (radius + r.radius)) ** 2
 
@@ -59,10 +59,11 @@ def clear(store, grid, ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, mar
             for k in range(k0, k1 + 1):
                 e = grid.head[i, j, k]
                 while e >= 0:
-                    if meets(store, np.int64(grid.owner[e]), ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
+                    o = np.int64(grid.owner[e])
+                    if meets(store, o, ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
                         return False
                     e = grid.link[e]
-    for c in range(store.count[5]):
+    for c in range(store.counts[5]):
         if meets(store, np.int64(store.thick[c]), ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
             return False
     return True
@@ -118,7 +119,7 @@ def mark_smaller(store, s, o, lost, margin):
 def mark_overlapping(store, grid, lost, margin):
     """Mark in ``lost`` the smaller vessel of every pair that overlaps; returns how many times one was met."""
     total = 0
-    for s in range(1, store.count[0]):
+    for s in range(1, store.counts[0]):
         r = store.segment[s]
         if r.radius > store.thin[0]:
             continue
@@ -132,16 +133,17 @@ def mark_overlapping(store, grid, lost, margin):
                     while e >= 0:
                         total += mark_smaller(store, s, np.int64(grid.owner[e]), lost, margin)
                         e = grid.link[e]
-    for c in range(store.count[5]):
-        for o in range(1, store.count[0]):
-            total += mark_smaller(store, max(np.int64(store.thick[c]), o), min(np.int64(store.thick[c]), o), lost, margin)
+    for c in range(store.counts[5]):
+        for o in range(1, store.counts[0]):
+            s = np.int64(store.thick[c])
+            total += mark_smaller(store, max(s, o), min(s, o), lost, margin)
     return total
 
 
 @njit
 def sweep_radii(store, stem_radius):
     """All radii anew, root to leaf, from those of the stems (J,), and the list of thick vessels."""
-    store.count[5] = 0
+    store.counts[5] = 0
     i = store.segment[0].child
     while i > 0:
         r = store.segment[i]
@@ -152,8 +154,8 @@ def sweep_radii(store, stem_radius):
                 p = store.segment[r.parent]
                 r.radius = p.radius * (r.rho / p.base_rho) ** 0.25
         if r.radius > store.thin[0]:
-            store.thick[store.count[5]] = i
-            store.count[5] += 1
+            store.thick[store.counts[5]] = i
+            store.counts[5] += 1
         if r.child >= 0:
             i = r.child
             continue

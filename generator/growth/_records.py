@@ -34,7 +34,7 @@ VISIT = np.dtype(
         ("below", "i4"),  # the segment below on the path of the last visit
         ("rho", "f8"), ("v", "f8"),  # values at that visit
         ("cost", "f8"), ("d_rho", "f8"), ("d_v", "f8"),  # F of the stem there, and its derivatives by rho and v
-        ("rr", "f8"), ("vr", "f8"), ("vv", "f8"),  # d rho/d rho, d v/d rho, d v/d v of this with respect to the one below
+        ("rr", "f8"), ("vr", "f8"), ("vv", "f8"),  # of the one above by this: d rho/d rho, d v/d rho, d v/d v
     ],
     align=True,
 )  # fmt: skip
@@ -43,7 +43,7 @@ VISIT = np.dtype(
 class Store(NamedTuple):
     """The growing tree. Its first ``n_fixed`` nodes are the root and the root tree.
 
-    ``count``: nodes, terminals, mark of the last search, points used, points refused since the last terminal, entries
+    ``counts``: nodes, terminals, mark of the last search, points used, points refused since the last terminal, entries
     of ``thick``. ``thick`` lists the vessels whose radius is beyond ``thin[0]``, if vessels must keep apart.
     """
 
@@ -51,7 +51,7 @@ class Store(NamedTuple):
     gamma: float
     segment: np.ndarray
     visit: np.ndarray
-    count: np.ndarray
+    counts: np.ndarray
     thick: np.ndarray
     thin: np.ndarray
 

@@ -182,7 +182,7 @@ class Growth:
         self._measured = 0
         if len(dropped) and self._given is not None:
             self._points, self._outcome = dropped, np.zeros(len(dropped), np.int8)
-            self._state.store.count[3] = 0
+            self._state.store.counts[3] = 0
         return len(dropped) > 0
 
     def _begin(self) -> None:
@@ -206,8 +206,8 @@ class Growth:
             if self._given is not None:
                 break
         raise InputError(
-            f"no terminal can be placed at the root {ends[number].round(3).tolist()}: no point nearest to it is joined to "
-            "it by a straight line inside the domain; move the root away from the wall or into a wider place"
+            f"no terminal can be placed at the root {ends[number].round(3).tolist()}: no point nearest to it is joined "
+            "to it by a straight line inside the domain; move the root away from the wall or into a wider place"
         )
 
     def _advance(self, target: int) -> None:
@@ -223,8 +223,8 @@ class Growth:
                     self._measure()
                 goal = min(goal, self._measured)
             code = kernels.grow(
-                state.store, state.stems, self._rules, state.grid.grid, self.domain.space, self._points, self._outcome,
-                spacing, goal, *self._scratch,
+                state.store, state.stems, self._rules, state.grid.grid, self.domain.space, self._points,
+                self._outcome, spacing, goal, *self._scratch,
             )  # fmt: skip
             if code == kernels.NO_ROOM:
                 state.grid.widen()
@@ -254,7 +254,7 @@ class Growth:
             return
         self._points = self.domain.sample(_BATCH * min(max(self.n_grown, 20), 10_000), self.rng)
         self._outcome = np.zeros(len(self._points), np.int8)
-        self._state.store.count[3] = 0
+        self._state.store.counts[3] = 0
 
     def _refill_given(self) -> None:
         """The points that were refused once more: the tree may have come nearer; last without rules for lengths."""
@@ -264,26 +264,28 @@ class Growth:
             relaxed = self._rules._replace(diameters=0.0, shortest_mm=0.0, merge_mm=-1.0)
             if self._rules == relaxed:
                 first = refused[0].round(3).tolist()
+                how = "that keep apart from all others" if self._state.apart else "inside the domain"
                 raise InputError(
-                    f"{len(refused)} terminals cannot be joined to the tree by straight vessels inside the domain "
-                    f"(first: {first}); move or drop them"
+                    f"{len(refused)} terminals cannot be joined to the tree by straight vessels {how} (first: "
+                    f"{first}); move or drop them" + (", or let vessels overlap" if self._state.apart else "")
                 )
             self._rules = relaxed
         self._points, self._outcome = refused, np.zeros(len(refused), np.int8)
-        self._state.store.count[3] = 0
+        self._state.store.counts[3] = 0
 
     def _stuck(self) -> None:
-        if self._outcome[self._state.store.count[3] - 1] == kernels.TOO_THIN:
+        if self._outcome[self._state.store.counts[3] - 1] == kernels.TOO_THIN:
             if self.options.at_thinnest == "stop":
                 self.stopped_at_thinnest = True
                 return
             raise ComputationError(
-                f"terminal {self.n_grown + 1} would be thinner than r_min {self.options.thinnest_mm:g} mm: with this pressure "
-                "drop and flow so many terminals cannot be that thick; ask for fewer terminals, lower r_min, or stop there"
+                f"terminal {self.n_grown + 1} would be thinner than r_min {self.options.thinnest_mm:g} mm: with this "
+                "pressure drop and flow so many cannot be that thick; ask for fewer, lower r_min, or stop there"
             )
         raise InputError(
-            f"{self._state.store.count[4]} points in a row could not be joined to the tree of {self.n_grown} terminals; the rest "
-            "of the domain cannot be reached in straight lines, or the rules for length and distance leave no room"
+            f"{self._state.store.counts[4]} points in a row could not be joined to the tree of {self.n_grown} "
+            "terminals: the rest of the domain cannot be reached in straight lines, or the rules for length and distance "
+            "leave no room; ask for fewer terminals or relax the rules"
         )
 
 
@@ -298,6 +300,7 @@ def _checked_terminals(domain: Domain, terminals_mm: np.ndarray, n_terminals: in
     if outside.size:
         first = points[outside[0]].round(3).tolist()
         raise InputError(
-            f"{outside.size} terminals lie outside the domain (first: number {outside[0] + 1} at {first}); move or drop them"
+            f"{outside.size} terminals lie outside the domain (first: number {outside[0] + 1} at {first}); move or "
+            "drop them"
         )
     return points

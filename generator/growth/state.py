@@ -33,7 +33,7 @@ class GrowthState:
             gamma=float(perfusion.gamma),
             segment=np.zeros(size, SEGMENT),
             visit=np.zeros(size, VISIT),
-            count=np.zeros(6, np.int64),
+            counts=np.zeros(6, np.int64),
             thick=np.zeros(size if apart else 0, np.int32),
             thin=np.array([np.inf]),
         )
@@ -43,11 +43,11 @@ class GrowthState:
 
     @property
     def n_terminals(self) -> int:
-        return int(self.store.count[1])
+        return int(self.store.counts[1])
 
     @property
     def n_nodes(self) -> int:
-        return int(self.store.count[0])
+        return int(self.store.counts[0])
 
     @property
     def begun(self) -> bool:
@@ -74,7 +74,7 @@ class GrowthState:
         kernels.begin(self.store, self.stems, self.grid.grid, node, *point_mm)
         if not np.isfinite(self.volume_mm3):
             raise ComputationError(
-                "the root tree uses up the pressure before its ends; widen it, lower the flow or raise the root pressure"
+                "the root tree uses up the pressure before its ends; widen it, lower the flow or raise root_pressure"
             )
 
     def renew(self) -> None:
@@ -116,7 +116,7 @@ class GrowthState:
         kernels.spread_down(self.store, lost)
         leaf = self.store.segment["child"][: self.n_nodes] < 0
         dropped = position[lost & leaf]
-        self.store.count[:2] = 0
+        self.store.counts[:2] = 0
         self._fill(*_without(parent, position, lost, self.store.n_fixed))
         self.renew()
         return dropped

@@ -79,9 +79,9 @@ def test_shared_paths_do_not_change_the_cost():
     costs = []
     for fresh in (True, False):
         found = []
-        store.count[2] += 1
+        store.counts[2] += 1
         for s in near:
-            store.count[2] += fresh
+            store.counts[2] += fresh
             b = candidates.first_guess(store.segment[s], x, y, z)
             found.append(candidates.assess(store, s, *b, x, y, z, 1.0)[0])
         costs.append(np.array(found))

@@ -109,7 +109,7 @@ def test_volume_is_least_at_the_bifurcation_that_growth_chose():
     )  # fmt: skip
     for _ in growth.steps():
         pass
-    parent, position = growth._state.arrays()
+    _, position = growth._state.arrays()
     tree = growth.tree()
     node = int(np.flatnonzero((tree.position_mm == position[-2]).all(axis=1))[0])
     assert tree.topology.n_children[node] == 2
@@ -139,7 +139,7 @@ def test_volume_scales_with_flow_viscosity_and_pressure():
 def test_a_root_tree_that_uses_up_the_pressure_is_infeasible():
     parent = np.array([-1, 0, 1])
     position = np.array([[0.0, 0, 0], [50, 0, 0], [60, 0, 0]])
-    with pytest.raises(ComputationError, match="leave no pressure for segment 2, which springs at node 1"):
+    with pytest.raises(ComputationError, match=r"leave no pressure for segment 2, which springs at node 1"):
         perfused_tree(Topology(parent), position, perfusion(), np.array([np.nan, 0.1, np.nan]))
 
 
