@@ -95,14 +95,15 @@ def _first_guess(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thi
     centre = index * voxels.spacing_mm
     to_border = (np.minimum(index, np.array(voxels.shape[::-1]) - 1 - index) * voxels.spacing_mm).min(axis=1)
     n_children = np.bincount(tree.parent + 1, minlength=tree.n + 1)
+    step = float(voxels.spacing_mm.min())
     radius, chains = np.zeros(tree.n), []
     for b in range(tree.n):
         chain = tree.chain(b)
         radius[b] = np.median(thickness[chain])
         stem = tree.parent[b] == -1 and n_children[0] == 1
-        first = _full(thickness[chain], to_border[chain], radius[b]) if stem else 0
+        first = _full(thickness[chain], to_border[chain], radius[b], step) if stem else 0
         tip = n_children[b + 1] == 0
-        last = _full(thickness[chain][::-1], to_border[chain][::-1], radius[b]) if tip else 0
+        last = _full(thickness[chain][::-1], to_border[chain][::-1], radius[b], step) if tip else 0
         line = centre[chain[first : chain.size - last]] if first + last < chain.size - 1 else centre[chain]
         smooth = gaussian_filter1d(line, sigma=2.0, axis=0, mode="nearest")
         smooth[0], smooth[-1] = line[0], line[-1]
@@ -113,13 +114,14 @@ def _first_guess(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thi
     return Refined(node, point, offset, radius, np.zeros(tree.n))
 
 
-def _full(thickness: np.ndarray, to_border: np.ndarray, typical: float) -> int:
-    """How many points of a chain, seen from its tip, to leave out: up to where the distance map reaches three quarters
-    of its typical value, and, where the vessel leaves the volume, to where its inscribed ball fits into the volume."""
-    full = thickness >= 0.75 * typical
-    if to_border[0] == 0:
-        full &= to_border >= np.minimum(thickness, 0.5 * to_border.max())
-    return int(np.argmax(full))
+def _full(thickness: np.ndarray, to_border: np.ndarray, typical: float, step_mm: float) -> int:
+    """How many points of a chain, seen from its tip, to leave out: up to where the distance map reaches half its
+    typical value, but no more than that value; and, where the vessel leaves the volume, up
+    to where its inscribed ball fits into the volume."""
+    blunt = min(int(np.argmax(thickness >= 0.5 * typical)), int(typical / step_mm))
+    if to_border[0] > 0:
+        return blunt
+    return max(blunt, int(np.argmax(to_border >= np.minimum(thickness, 0.5 * to_border.max()))))
 
 
 class _Nodes:
@@ -291,7 +293,10 @@ def _place_tips(
             direction, centre = lines.direction[b, end], lines.centre[b, end]
             section = _point_at(stations, b, limit[b])
             along = ((section - centre) * direction).sum() + sign * max(0.0, further[b])
-            node[of_branch[b]] = centre + along * direction
+            place = centre + along * direction
+            # a stub too short for a direction of its own may point out of the vessel: there the drawn end stays
+            if voxels.find(np.rint(place / voxels.spacing_mm)[None])[0] >= 0 or cut[b]:
+                node[of_branch[b]] = place
 
 
 def _point_at(stations: _Stations, branch: int, arc: float) -> np.ndarray:

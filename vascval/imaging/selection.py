@@ -53,7 +53,7 @@ def select(volume: Volume, *, label: int | None = None, threshold: float | str |
     if present is None or not np.equal(present, np.rint(present)).all():
         return _above(values, _otsu(values), " (Otsu)")
     if present.size == 1:
-        raise InputError(f"every voxel has the value {present[0]:g}: no vessel can be told from its surroundings")
+        raise InputError(f"every voxel has the value {present[0]:g}: nothing tells a vessel; check the file")
     if present.size == 2:
         high = present[1]
         return Selection(lambda z: values[z] == high, f"voxels of value {high:g} (the rest is {present[0]:g})")
@@ -90,7 +90,7 @@ def _otsu(values: np.ndarray) -> float:
 
     low, high = float(values.min()), float(values.max())
     if low == high:
-        raise InputError(f"every voxel has the value {low:g}: no vessel can be told from its surroundings")
+        raise InputError(f"every voxel has the value {low:g}: nothing tells a vessel; check the file")
     edges = np.linspace(low, high, _BINS + 1)
     counts = np.zeros(_BINS, dtype=np.int64)
     for slab in values:

@@ -182,13 +182,12 @@ def _root_voxel(
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """The skeleton with its root, the ends of vessels among its points, which of these leave the volume, its loops."""
+    """The skeleton with its root, the ends of vessels among its points and the judgement of its loops."""
 
     skeleton: SkeletonGraph
     order: np.ndarray
     parent: np.ndarray
     ends: np.ndarray
-    leaving: np.ndarray
     loops: Loops
 
 
@@ -205,7 +204,8 @@ def _draw(voxels: Voxels, left: np.ndarray, thickness: np.ndarray, tips: Tips, r
     position = voxels.index_xyz(skeleton.voxel) * voxels.spacing_mm
     at = thickness[skeleton.voxel]
     loops = graph.judge_loops(skeleton, parent, ends, position, at, salience_mm(at, voxels.spacing_mm))
-    return _Drawn(skeleton, order, parent, np.union1d(ends[ends != root], loops.stub), ends[tips.leaves], loops)
+    ends = np.union1d(ends[ends != root], loops.stub)
+    return _Drawn(skeleton, order, parent, ends, loops)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,17 +218,13 @@ class _Fitted:
 
 
 def _fit(voxels: Voxels, drawn: _Drawn, thickness: np.ndarray) -> _Fitted:
-    """Refine, drop the terminals that end inside the vessel they spring from, and refine again until none does.
-
-    One that leaves the volume stays: it goes on unseen.
-    """
+    """Refine, drop the terminals that end inside the vessel they spring from, and refine again until none does."""
     ends = drawn.ends
     spurs: list[int] = []
     while True:
         tree = graph.branches(drawn.order, drawn.parent, ends)
         geometry = refine(voxels, tree, drawn.skeleton.voxel, thickness)
         spur = _spurs(tree, geometry)
-        spur = spur[~np.isin(tree.point[tree.offset[spur + 1] - 1], drawn.leaving)]
         if spur.size == 0 or spur.size == ends.size:
             return _Fitted(tree, geometry, drawn.skeleton.voxel[np.array(spurs, dtype=np.int64)])
         gone = tree.point[tree.offset[spur + 1] - 1]
