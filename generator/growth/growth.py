@@ -192,6 +192,7 @@ class Growth:
         for number, node in enumerate(ends):
             point = self._first_point(number, position)
             self._state.begin(node, point)
+        self._state.require_pressure()
 
     def _first_point(self, number: int, ends: np.ndarray) -> np.ndarray:
         for _ in range(50):
@@ -284,8 +285,8 @@ class Growth:
             )
         raise InputError(
             f"{self._state.store.counts[4]} points in a row could not be joined to the tree of {self.n_grown} "
-            "terminals: the rest of the domain cannot be reached in straight lines, or the rules for length and distance "
-            "leave no room; ask for fewer terminals or relax the rules"
+            "terminals: the rest of the domain cannot be reached in straight lines, or the rules for length and "
+            "distance leave no room; ask for fewer terminals or relax the rules"
         )
 
 

@@ -67,11 +67,11 @@ class GrowthState:
         return np.sqrt(self.stems.kappa_pa_s * flow / np.where(drop > 0.0, drop, np.nan))
 
     def begin(self, node: int, point_mm: np.ndarray) -> None:
-        """A first terminal straight from an end of the root tree.
-
-        :raises ComputationError: when the root tree has used up the pressure there.
-        """
+        """A first terminal straight from an end of the root tree."""
         kernels.begin(self.store, self.stems, self.grid.grid, node, *point_mm)
+
+    def require_pressure(self) -> None:
+        """:raises ComputationError: when the root tree has used up the pressure at one of its ends."""
         if not np.isfinite(self.volume_mm3):
             raise ComputationError(
                 "the root tree uses up the pressure before its ends; widen it, lower the flow or raise root_pressure"

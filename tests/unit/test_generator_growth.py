@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -78,7 +80,7 @@ def test_counts_and_what_steps_tell():
     assert (tree.topology.n_terminals, tree.n_segments) == (400, 799)
     assert (np.delete(tree.topology.n_children, [0, *tree.topology.terminals]) == 2).all()
     assert steps[-1].n_terminals == steps[-1].n_target == 400
-    assert all(a.n_terminals <= b.n_terminals for a, b in zip(steps, steps[1:]))
+    assert all(a.n_terminals <= b.n_terminals for a, b in pairwise(steps))
     assert steps[-1].volume_mm3 == pytest.approx(tree.volume_mm3, rel=1e-11)  # rounding
 
 
