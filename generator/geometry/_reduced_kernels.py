@@ -40,7 +40,7 @@ def radii(parent, length, n, gamma, factor, fixed_radius, stem, radius, rho, q, 
             rho[i] += total[i] ** (4.0 / gamma[i])
         q[i] = rho[i] ** (0.25 * gamma[p])
         total[p] += q[i]
-    for i in range(size):
+    for i in range(1, size):
         if fixed_radius[i] == fixed_radius[i]:
             radius[i] = fixed_radius[i]
         elif stem[i] > 0.0:
@@ -109,11 +109,67 @@ def pull(parent, position, moves, length, slope, gradient):
 
 
 @njit
-def solve_laplacian(parent, position, moves, length, slope, bend, rhs, diagonal, out):
+def cost(parent, length, radius, free, l_min, l_pull, l_stiff, r_log, r_pull, r_stiff, push, lift, stiff):
+    """Volume of the free segments plus the augmented Lagrangian of the bounds; its derivatives by radii and lengths.
+
+    A bound ``b >= c`` with multiplier ``m`` and stiffness ``k`` adds ``(t^2 - m^2) / (2 k)``, ``t = max(0, m + k (c - b))``.
+
+    :param l_pull, l_stiff: (N,) multiplier and stiffness of ``l >= l_min``; a stiffness of 0: no bound.
+    :param r_log, r_pull, r_stiff: the same for ``log r >= r_log``.
+    :param push, lift, stiff: (N,) out: derivatives by ``log r`` and by ``l``; curvature that the bound on ``l`` adds.
+    """
+    total = 0.0
+    for i in range(1, parent.size):
+        if not free[i]:
+            continue
+        lift[i] = math.pi * radius[i] * radius[i]
+        push[i] = 2.0 * lift[i] * length[i]
+        total += lift[i] * length[i]
+        stiff[i] = 0.0
+        if l_stiff[i] > 0.0:
+            t = max(0.0, l_pull[i] + l_stiff[i] * (l_min - length[i]))
+            total += (t * t - l_pull[i] * l_pull[i]) / (2.0 * l_stiff[i])
+            lift[i] -= t
+            if t > 0.0:
+                stiff[i] = l_stiff[i]
+        if r_stiff[i] > 0.0:
+            t = max(0.0, r_pull[i] + r_stiff[i] * (r_log - math.log(radius[i])))
+            total += (t * t - r_pull[i] * r_pull[i]) / (2.0 * r_stiff[i])
+            push[i] -= t
+    return total
+
+
+@njit
+def imbalance(parent, moves, weight, gradient, pulls):
+    """The largest force on a node that moves, relative to the sum of the weights of its segments."""
+    for i in range(parent.size):
+        pulls[i] = 0.0
+    for i in range(1, parent.size):
+        pulls[i] += abs(weight[i])
+        pulls[parent[i]] += abs(weight[i])
+    worst = 0.0
+    for i in range(parent.size):
+        if moves[i]:
+            force = math.sqrt(gradient[i, 0] ** 2 + gradient[i, 1] ** 2 + gradient[i, 2] ** 2)
+            worst = max(worst, force / pulls[i])
+    return worst
+
+
+@njit
+def dot(a, b):
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i, 0] * b[i, 0] + a[i, 1] * b[i, 1] + a[i, 2] * b[i, 2]
+    return total
+
+
+@njit
+def solve_laplacian(parent, position, moves, length, weight, stiff, bend, rhs, diagonal, out):
     """``out`` with ``H out = rhs`` at the nodes that move, 0 elsewhere; ``H`` is a tree Laplacian of 3 x 3 blocks.
 
-    Segment ``i`` adds ``w_i / l_i (I - bend d d^T / l_i^2)``: with ``bend`` 0 the majoriser of the weighted lengths,
-    with 1 their Hessian at fixed weights. Eliminating leaf to root makes no fill-in.
+    Segment ``i`` adds ``w_i / l_i (I - bend d d^T / l_i^2) + stiff_i d d^T / l_i^2``: with ``bend`` 0 the majoriser of
+    the weighted lengths, with 1 their Hessian at fixed weights; ``stiff`` is the curvature along the segment that a
+    bound adds. Eliminating leaf to root makes no fill-in.
 
     :param diagonal: (N, 6) scratch: blocks as xx, xy, xz, yy, yz, zz.
     """
@@ -126,7 +182,7 @@ def solve_laplacian(parent, position, moves, length, slope, bend, rhs, diagonal,
     block = np.empty(6)
     inverse = np.empty(6)
     for i in range(1, size):
-        segment_block(parent, position, length, slope, bend, i, block)
+        segment_block(parent, position, length, weight, stiff, bend, i, block)
         for k in range(6):
             diagonal[i, k] += block[k]
             diagonal[parent[i], k] += block[k]
@@ -134,7 +190,7 @@ def solve_laplacian(parent, position, moves, length, slope, bend, rhs, diagonal,
         p = parent[i]
         if not (moves[i] and moves[p]):
             continue
-        segment_block(parent, position, length, slope, bend, i, block)
+        segment_block(parent, position, length, weight, stiff, bend, i, block)
         invert(diagonal[i], inverse)
         # C D^-1 first, times C and times the right-hand side
         m00, m01, m02, m10, m11, m12, m20, m21, m22 = product(block, inverse)
@@ -158,7 +214,7 @@ def solve_laplacian(parent, position, moves, length, slope, bend, rhs, diagonal,
         p = parent[i]
         x, y, z = out[i, 0], out[i, 1], out[i, 2]
         if moves[p]:
-            segment_block(parent, position, length, slope, bend, i, block)
+            segment_block(parent, position, length, weight, stiff, bend, i, block)
             x += block[0] * out[p, 0] + block[1] * out[p, 1] + block[2] * out[p, 2]
             y += block[1] * out[p, 0] + block[3] * out[p, 1] + block[4] * out[p, 2]
             z += block[2] * out[p, 0] + block[4] * out[p, 1] + block[5] * out[p, 2]
@@ -169,11 +225,11 @@ def solve_laplacian(parent, position, moves, length, slope, bend, rhs, diagonal,
 
 
 @njit
-def segment_block(parent, position, length, slope, bend, i, block):
-    """``w / l (I - bend d d^T / l^2)`` of segment ``i``; a weight that is not positive counts as a small one."""
+def segment_block(parent, position, length, weight, stiff, bend, i, block):
+    """What segment ``i`` adds to the Laplacian; a weight that is not positive counts as a small one."""
     p = parent[i]
-    c = max(slope[i], 1e-9) / length[i]
-    b = c * bend / (length[i] * length[i])
+    c = max(weight[i], 1e-9) / length[i]
+    b = (c * bend - stiff[i]) / (length[i] * length[i])
     x, y, z = position[i, 0] - position[p, 0], position[i, 1] - position[p, 1], position[i, 2] - position[p, 2]
     block[0] = c - b * x * x
     block[1] = -b * x * y
