@@ -73,11 +73,11 @@ def inverse_distance(dx, dy, dz, tangent, core):
 @njit
 def section_sums(station, along, branch, position, tangent, low, high, ramp, near, x, row, ny, spacing):
     """For each branch the sum of ``1 / rho`` over its voxels between ``low`` and ``high``, tapered over ``ramp`` at
-    both ends; see :func:`vascval.imaging.refine._radii`. Voxels within ``near`` of the axis are averaged over 64 parts.
+    both ends; see :func:`vascval.imaging.refine._radii`. Voxels within ``near`` of the axis are averaged over 27 parts.
     """
     radius_sum = np.zeros(low.size)
     core = 0.25 * spacing.min()
-    parts = (np.arange(4) - 1.5) / 4.0
+    parts = (np.arange(3) - 1.0) / 3.0
     for i in range(x.size):
         k = station[i]
         b = branch[k]
@@ -98,7 +98,7 @@ def section_sums(station, along, branch, position, tangent, low, high, ramp, nea
                         value += inverse_distance(
                             dx + u * spacing[0], dy + v * spacing[1], dz + w * spacing[2], tangent[k], core
                         )
-            value /= 64.0
+            value /= 27.0
         radius_sum[b] += weight * value
     return radius_sum
 

@@ -115,9 +115,11 @@ def _first_guess(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thi
 
 
 def _full(thickness: np.ndarray, to_border: np.ndarray, typical: float, step_mm: float) -> int:
-    """How many points of a chain, seen from its tip, to leave out: up to where the distance map reaches half its
-    typical value, but no more than that value; and, where the vessel leaves the volume, up
-    to where its inscribed ball fits into the volume."""
+    """How many points of a chain, seen from its tip, to leave out.
+
+    Up to where the distance map reaches half its typical value, but no more than that value; and, where the vessel
+    leaves the volume, up to where its inscribed ball fits in.
+    """
     blunt = min(int(np.argmax(thickness >= 0.5 * typical)), int(typical / step_mm))
     if to_border[0] > 0:
         return blunt
@@ -289,14 +291,16 @@ def _place_tips(
         nz, ny, nx = voxels.shape
         cut = kernels.reaches_border(*voxel_of, limit, signs, voxels.x, voxels.row, ny, nx, nz)
         further = beyond / area - np.where(cut, 0.0, 2.0 * np.sqrt(area / np.pi) / 3.0)
-        for b in np.flatnonzero(tip & (lines.weight[:, end] > 0)).tolist():
-            direction, centre = lines.direction[b, end], lines.centre[b, end]
-            section = _point_at(stations, b, limit[b])
-            along = ((section - centre) * direction).sum() + sign * max(0.0, further[b])
-            place = centre + along * direction
-            # a stub too short for a direction of its own may point out of the vessel: there the drawn end stays
-            if voxels.find(np.rint(place / voxels.spacing_mm)[None])[0] >= 0 or cut[b]:
-                node[of_branch[b]] = place
+        branch = np.flatnonzero(tip & (lines.weight[:, end] > 0))
+        if branch.size == 0:
+            continue
+        direction, centre = lines.direction[branch, end], lines.centre[branch, end]
+        section = np.array([_point_at(stations, b, limit[b]) for b in branch.tolist()])
+        along = ((section - centre) * direction).sum(axis=1) + sign * np.maximum(0.0, further[branch])
+        place = centre + along[:, None] * direction
+        # a stub too short for a direction of its own may point out of the vessel: there the drawn end stays
+        inside = (voxels.find(np.rint(place / voxels.spacing_mm)) >= 0) | cut[branch]
+        node[of_branch[branch[inside]]] = place[inside]
 
 
 def _point_at(stations: _Stations, branch: int, arc: float) -> np.ndarray:
