@@ -168,6 +168,29 @@ def test_absurd_spacing_in_nifti_and_meta_image(tmp_path: Path, capfd: pytest.Ca
         refused(path, capfd, "spacing .* is absurd|truncated or damaged")
 
 
+@pytest.mark.parametrize(
+    ("tag", "value", "match"),
+    [(254, 1, "page 1 of the TIFF is a thumbnail or a mask"), (256, 9, "page 1 of the TIFF differs from page 0"),
+     (258, 12, "tags of page 1 of the TIFF do not fit"), (273, 10**6, "page 2 of the TIFF is not all there"),
+     (278, 3, "tags of page 1 of the TIFF do not fit"), (279, 5, "tags of page 1 of the TIFF do not fit")],
+)  # fmt: skip
+def test_tiff_pages_that_do_not_fit(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], tag: int, value: int, match: str
+) -> None:
+    """The library writes beyond its buffers for some of these."""
+    path = tmp_path / "a.tif"
+    sitk.WriteImage(sitk.GetImageFromArray(sample()), str(path))
+    content = bytearray(path.read_bytes())
+    first = struct.unpack_from("<I", content, 4)[0]
+    n_tags = struct.unpack_from("<H", content, first)[0]
+    second = struct.unpack_from("<I", content, first + 2 + 12 * n_tags)[0]
+    at = next(i for i in range(second + 2, second + 200, 12) if struct.unpack_from("<H", content, i)[0] == tag)
+    kind = struct.unpack_from("<H", content, at + 2)[0]
+    struct.pack_into("<H" if kind == 3 else "<I", content, at + 8, value)
+    path.write_bytes(bytes(content))
+    refused(path, capfd, match, spacing_mm=(1, 1, 1))
+
+
 def test_no_spacing_asks_for_it(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = nrrd(tmp_path / "a.nrrd", bytes(24))
     path.write_bytes(path.read_bytes().replace(b"spacings: 1 1 1\n", b""))
@@ -213,12 +236,11 @@ def test_damaged_sizes(tmp_path: Path, capfd: pytest.CaptureFixture[str], sizes:
     [("NDims = 3", "NDims = 700"), ("NDims = 3", "NDims = 2"), ("NDims = 3", "NDims = 3\nNDims = 700"),
      ("ElementSpacing = 1 1 1", "ElementSpacing = 1 1 1 1"), ("ElementSpacing = 1 1 1", "ElementSpacing = 1 x 1"),
      ("DimSize = 4 3 2", "DimSize = 4 3 2 1 1 1 1 1 1 1 1 1 1"), ("NDims = 3", "NDims = 3\nTransformMatrix = 1 0"),
-     ("NDims = 3", "NDims = 3\nCompressedDataSize = 9 9"), ("NDims = 3\n", "")],
+     ("NDims = 3", "NDims = 3\nHeaderSize = 9 9"), ("NDims = 3\n", "")],
 )  # fmt: skip
 def test_meta_image_headers_that_do_not_add_up(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], old: str, new: str
 ) -> None:
-    """Some of these make the library write beyond its arrays."""
     path = tmp_path / "a.mha"
     header = (
         "ObjectType = Image\nNDims = 3\nElementSpacing = 1 1 1\nDimSize = 4 3 2\n"

@@ -12,32 +12,12 @@ import os
 import re
 import struct
 import zlib
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from vascval.core.errors import InputError
 from vascval.core.units import MM_PER
-from vascval.io import tiff_headers
-
-_HEADER_BYTES = 1 << 20
-_MAX_FILES = 100_000
-
-
-@dataclass(frozen=True)
-class Header:
-    """What a header says: ``reader`` is the name of the ITK reader, ``sizes`` the axis lengths as stored (empty where
-    only the library knows), ``itemsize`` the bytes per value, ``mm_per_unit`` what the spacing and origin that the
-    library reports are to be multiplied by, ``unpacked_bytes`` what compressed NIfTI must unpack to, ``texts`` the
-    key-value pairs of the writer."""
-
-    kind: str
-    reader: str
-    sizes: tuple[int, ...] = ()
-    itemsize: int = 1
-    has_spacing: bool = True
-    mm_per_unit: float = 1.0
-    unpacked_bytes: int = 0
-    texts: dict[str, str] = field(default_factory=dict)
+from vascval.io import meta_image, tiff_headers
+from vascval.io.header_checks import Header, confined, first_bytes, integers, numbered_files, positive, require_bytes
 
 
 def read_header(path: Path) -> Header:
@@ -54,32 +34,14 @@ def read_header(path: Path) -> Header:
         pages = tiff_headers.read_pages(path)
         sizes = (pages.width, pages.height, pages.count)
         return Header("TIFF", "TIFFImageIO", sizes, itemsize=max(pages.bits // 8, 1), has_spacing=False)
-    if _META_LINE.match(head) and b"ElementDataFile" in head:
-        return _meta_image(path, head)
+    if meta_image.is_header(head):
+        return meta_image.read_header(path, head)
     raw = _unzipped(head) if head[:2] == b"\x1f\x8b" else head
     if len(raw) >= 348 and struct.unpack("<i", raw[:4])[0] in _NIFTI_SIZES:
         return _nifti(path, raw, "<")
     if len(raw) >= 348 and struct.unpack(">i", raw[:4])[0] in _NIFTI_SIZES:
         return _nifti(path, raw, ">")
     raise InputError(f"{path}: is no image that can be read; give NRRD, NIfTI, MetaImage or a TIFF stack")
-
-
-def first_bytes(path: Path, count: int = _HEADER_BYTES) -> bytes:
-    """The first bytes of a file.
-
-    :raises InputError: when it is missing, no regular file, or cannot be read.
-    """
-    try:
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; give a file")
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is not a regular file; give a file")
-        with path.open("rb") as stream:
-            return stream.read(count)
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file; check the name") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); check the name and its rights") from error
 
 
 # --- NRRD ---------------------------------------------------------------------------------------------------------
@@ -115,15 +77,15 @@ def _nrrd(path: Path, head: bytes) -> Header:
         if key == "datafile" and fields[key].upper().startswith("LIST"):
             names = [item.strip() for item in lines[number:] if item.strip()]
             break
-    sizes = _integers(path, fields.get("sizes", ""), "sizes")
+    sizes = integers(path, fields.get("sizes", ""), "sizes")
     itemsize = _NRRD_BYTES.get(fields.get("type", "").lower())
     if not sizes or itemsize is None:
         raise InputError(f"{path}: the NRRD header lacks sizes or names an unknown type; the file is damaged")
     files = [path]
     if "datafile" in fields:
-        files = [_confined(path, name) for name in names or _numbered(path, fields["datafile"])]
+        files = [confined(path, name) for name in names or numbered_files(path, fields["datafile"])]
     if fields.get("encoding", "").lower() == "raw" and fields.get("byteskip", "0") in ("0", "-1"):
-        _require_bytes(path, files, math.prod(sizes) * itemsize, 0 if "datafile" in fields else data_at)
+        require_bytes(path, files, math.prod(sizes) * itemsize, 0 if "datafile" in fields else data_at)
     return Header(
         "NRRD",
         "NrrdImageIO",
@@ -167,65 +129,6 @@ def _nrrd_unit(path: Path, units: str) -> float:
     return known[names.pop()]
 
 
-# --- MetaImage ----------------------------------------------------------------------------------------------------
-
-_META_LINE = re.compile(rb"\s*[A-Za-z]\w*\s*[=:]")
-_META_BYTES = {"CHAR": 1, "SHORT": 2, "INT": 4, "LONG": 8, "LONG_LONG": 8, "FLOAT": 4, "DOUBLE": 8}
-
-
-def _meta_image(path: Path, head: bytes) -> Header:
-    fields: dict[str, str] = {}
-    data_at, names = len(head), []
-    for match in re.finditer(rb"[ \t]*([^=:\r\n]*?)[ \t]*[=:][ \t]*([^\r\n]*)\r?\n?", head):
-        key, value = match[1].decode("latin-1"), match[2].decode("utf-8", "replace").strip()
-        if key in fields:
-            raise InputError(f"{path}: the MetaImage header has {key[:40]} twice; the file is damaged")
-        fields[key] = value
-        if key == "ElementDataFile":
-            data_at = match.end()
-            break
-    sizes = _integers(path, fields.get("DimSize", ""), "DimSize")
-    _require_meta_counts(path, fields, len(sizes))
-    itemsize = _META_BYTES.get(re.sub(r"^MET_U?|_ARRAY$", "", fields.get("ElementType", "")))
-    data = fields.get("ElementDataFile", "")
-    if not sizes or itemsize is None or not data:
-        raise InputError(f"{path}: the MetaImage header lacks its size, type or data; the file is damaged")
-    files = [path]
-    if data.upper().startswith("LIST"):
-        names = [line.strip() for line in head[data_at:].decode("utf-8", "replace").splitlines() if line.strip()]
-    elif data.upper() != "LOCAL":
-        names = _numbered(path, data)
-    if names:
-        files = [_confined(path, name) for name in names]
-    if fields.get("CompressedData", "False").lower() != "true" and fields.get("HeaderSize", "0") in ("0", "-1"):
-        _require_bytes(path, files, math.prod(sizes) * itemsize, 0 if names else data_at)
-    return Header(
-        "MetaImage",
-        "MetaImageIO",
-        sizes=sizes,
-        itemsize=itemsize,
-        has_spacing="ElementSpacing" in fields or "ElementSize" in fields,
-        texts=fields,
-    )
-
-
-def _require_meta_counts(path: Path, fields: dict[str, str], n: int) -> None:
-    """As many numbers everywhere as there are axes: the library writes beyond its arrays otherwise."""
-    if fields.get("NDims") != str(n) or n > 4:
-        raise InputError(f"{path}: NDims is {fields.get('NDims', 'absent')[:40]} for {n} sizes; the header is damaged")
-    for key, count in _META_COUNTS.items():
-        words = fields.get(key, "").split()
-        if words and (len(words) != n**count or not all(_NUMBER.fullmatch(word) for word in words)):
-            raise InputError(f"{path}: {key} is {' '.join(words)[:60]!r} for {n} axes; the header is damaged")
-
-
-_META_COUNTS = {
-    **dict.fromkeys(("HeaderSize", "CompressedDataSize", "ElementNumberOfChannels"), 0),
-    **dict.fromkeys(("ElementSpacing", "ElementSize", "Offset", "Position", "Origin", "CenterOfRotation"), 1),
-    **dict.fromkeys(("TransformMatrix", "Rotation", "Orientation"), 2),
-}
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|nan|inf)", re.IGNORECASE)
-
 # --- NIfTI --------------------------------------------------------------------------------------------------------
 
 _NIFTI_SIZES = (348, 540)
@@ -244,7 +147,7 @@ def _nifti(path: Path, raw: bytes, endian: str) -> Header:
     n = dims[0]
     if not 1 <= n <= 7 or bits <= 0:
         raise InputError(f"{path}: the NIfTI header claims {n} axes of {bits} bits; the file is damaged")
-    sizes = _positive(path, dims[1 : n + 1], "dim")
+    sizes = positive(path, dims[1 : n + 1], "dim")
     code, offset = _NIFTI_PIXDIM[size]
     pixdim = struct.unpack_from(endian + code, raw, offset)[1:4]
     if not all(math.isfinite(value) and value != 0 for value in pixdim[: min(n, 3)]):
@@ -253,7 +156,7 @@ def _nifti(path: Path, raw: bytes, endian: str) -> Header:
     data_at = int(start) if math.isfinite(start) and start > 0 else 0
     packed = path.name.lower().endswith(".gz")
     if not packed:
-        _require_bytes(path, [path], math.prod(sizes) * bits // 8, data_at)
+        require_bytes(path, [path], math.prod(sizes) * bits // 8, data_at)
     unpacked = data_at + math.prod(sizes) * bits // 8 if packed else 0
     return Header("NIfTI", "NiftiImageIO", sizes=sizes, itemsize=max(bits // 8, 1), unpacked_bytes=unpacked)
 
@@ -286,58 +189,3 @@ def require_whole(path: Path, header: Header) -> None:
         there = 0
     if there < header.unpacked_bytes:
         raise InputError(f"{path}: its compressed data end early; it is truncated, get it again")
-
-
-# --- shared -------------------------------------------------------------------------------------------------------
-
-
-def _integers(path: Path, text: str, name: str) -> tuple[int, ...]:
-    try:
-        values = tuple(int(word) for word in text.split())
-    except ValueError:
-        raise InputError(f"{path}: {name} is {text!r}, not whole numbers; the header is damaged") from None
-    return _positive(path, values, name)
-
-
-def _positive(path: Path, values: tuple[int, ...], name: str) -> tuple[int, ...]:
-    if any(value < 1 for value in values):
-        raise InputError(f"{path}: {name} is {values}; sizes of at least 1 are needed, the header is damaged")
-    return values
-
-
-def _numbered(path: Path, text: str) -> list[str]:
-    """The file names that a data-file field stands for: one name, or ``pattern first last step``."""
-    pattern = re.fullmatch(r"(\S*%0?\d*[du]\S*)\s+(-?\d+)\s+(-?\d+)\s+(-?\d+)(\s+\d+)?", text)
-    if pattern is None:
-        if "%" in text:
-            raise InputError(f"{path}: the data file pattern {text!r} is not understood; name one file or LIST them")
-        return [text]
-    first, last, step = (int(pattern[i]) for i in (2, 3, 4))
-    if step == 0 or not 0 <= (last - first) // step < _MAX_FILES or pattern[1].count("%") != 1:
-        raise InputError(f"{path}: the data file pattern {text!r} counts no files; correct its range")
-    return [pattern[1] % number for number in range(first, last + (1 if step > 0 else -1), step)]
-
-
-def _confined(header: Path, name: str) -> Path:
-    """The data file that a detached header names, which must lie in the header's own folder or below."""
-    outside = InputError(
-        f"{header}: its data file {name!r} lies outside its folder; put both into one folder and name it without a path"
-    )
-    if os.path.isabs(name) or "\\" in name or re.match(r"[A-Za-z]:", name) or "\0" in name:
-        raise outside
-    file = header.parent / name
-    try:
-        if ".." in Path(name).parts or not file.resolve().is_relative_to(header.parent.resolve()):
-            raise outside
-        there = file.is_file()
-    except OSError:  # the name is too long, or links lead in a circle
-        there = False
-    if not there:
-        raise InputError(f"{header}: its data file {name!r} is missing; put it beside the header")
-    return file
-
-
-def _require_bytes(path: Path, files: list[Path], needed: int, skipped: int) -> None:
-    there = sum(file.stat().st_size for file in files) - skipped
-    if there < needed:
-        raise InputError(f"{path}: holds {max(there, 0):,} bytes of {needed:,}; it is truncated, get it again")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from vascval.core.errors import InputError
-from vascval.io.image_headers import Header
+from vascval.io.header_checks import Header, Raster, require_shape
 from vascval.io.quiet import printed
 
 _LONGEST_TEXT = 4000  # longer values overflow what readers of MetaImage headers hold
@@ -18,8 +18,8 @@ _LONGEST_TEXT = 4000  # longer values overflow what readers of MetaImage headers
 
 def read_image(
     path: Path, files: Sequence[Path], header: Header, require_memory: Callable[[Sequence[int], int], None]
-) -> tuple[Any, list[str]]:
-    """The SimpleITK image in a file, or in the slices of a folder, and notes on what was taken as given.
+) -> Raster:
+    """The voxels of a file, or of the slices of a folder, held once.
 
     :param require_memory: called with the size and the bytes per value before the voxels are read; raises to refuse.
     :raises InputError: when there are not three axes of one real value each, or the library fails or complains.
@@ -35,7 +35,7 @@ def read_image(
         try:
             reader.ReadImageInformation()
             size = list(reader.GetSize())
-            notes = _check_shape(path, size, is_stack, reader.GetNumberOfComponents())
+            notes = require_shape(path, size, is_stack, reader.GetNumberOfComponents())
             itemsize = _itemsize(path, sitk, reader.GetPixelID())
             require_memory([*size[:2], len(files)] if is_stack else size, itemsize)
             if is_stack:
@@ -50,19 +50,13 @@ def read_image(
             raise InputError(f"{path}: {_reason(error, header.kind)}") from error
         if complaint():
             raise InputError(f"{path}: cannot be read as {header.kind} ({complaint()[:160]}); it is damaged")
-    return image, notes
-
-
-def _check_shape(path: Path, size: list[int], is_stack: bool, components: int) -> list[str]:
-    shape = " x ".join(map(str, size))
-    if components != 1:
-        raise InputError(f"{path}: has {components} values per voxel; one is needed, take one channel of it")
-    if any(n != 1 for n in size[2 if is_stack else 3 :]):
-        need = "slices have two axes" if is_stack else "three axes are needed, take one frame of it"
-        raise InputError(f"{path}: is an image of {shape} voxels; {need}")
-    if not is_stack and (len(size) < 3 or 1 in size[:3]):
-        raise InputError(f"{path}: is a flat image of {shape} voxels; a volume with three axes is needed")
-    return [f"trailing axes of size 1 dropped from {shape}"] if not is_stack and len(size) > 3 else []
+    return Raster(
+        values=np.asarray(_Pixels(image)),
+        spacing=np.array(image.GetSpacing()),
+        origin=np.array(image.GetOrigin()),
+        direction=np.array(image.GetDirection()).reshape(3, 3),
+        notes=notes,
+    )
 
 
 def _itemsize(path: Path, sitk: Any, pixel: int) -> int:
@@ -87,11 +81,6 @@ class _Pixels:
 
         self.image = image
         self.__array_interface__ = sitk.GetArrayViewFromImage(image).__array_interface__
-
-
-def values(image: Any) -> np.ndarray:
-    """The voxels (nz, ny, nx) of an image without a copy, read-only."""
-    return np.asarray(_Pixels(image))
 
 
 def write_image(

@@ -16,7 +16,7 @@ from vascval.core.errors import InputError
 
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _MAX_PAGES = 200_000
-_WIDTH, _HEIGHT, _BITS = 256, 257, 258
+_KIND, _WIDTH, _HEIGHT, _BITS, _PACKING, _SAMPLES, _ROWS_PER_STRIP = 254, 256, 257, 258, 259, 277, 278
 _PLACES = ((273, 279), (324, 325))  # offsets and byte counts of strips, of tiles
 _CODES = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
@@ -47,10 +47,7 @@ def read_pages(path: Path) -> Pages:
                 seen.add(at)
                 tags, at = reader.directory(at)
                 sizes.append((tags.get(_WIDTH, [0])[0], tags.get(_HEIGHT, [0])[0], tags.get(_BITS, [1])[0]))
-                for offsets, counts in _PLACES:
-                    ends = [a + n for a, n in zip(tags.get(offsets, []), tags.get(counts, []))]
-                    if ends and max(ends) > reader.size:
-                        raise _Missing
+                _require_page(path, len(sizes) - 1, tags, reader.size)
     except (_Missing, struct.error, OSError):
         what = f"page {len(sizes)} of the TIFF is not all there"
         raise InputError(f"{path}: {what}; it is truncated, get it again") from None
@@ -60,6 +57,33 @@ def read_pages(path: Path) -> Pages:
     if other is not None:
         raise InputError(f"{path}: page {other} of the TIFF differs from page 0 in size or type; separate them")
     return Pages(*sizes[0], len(sizes))
+
+
+def _require_page(path: Path, page: int, tags: dict[int, Sequence[int]], size: int) -> None:
+    """Refuses a page whose data are not where it says, or not as many as its size needs.
+
+    The library takes the number of strips and their sizes as they stand and writes beyond its buffers.
+    """
+    if tags.get(_KIND, [0])[0] not in (0, 2):  # neither a whole image nor a page of many
+        raise InputError(f"{path}: page {page} of the TIFF is a thumbnail or a mask; export the plain slices")
+    damaged = InputError(f"{path}: the tags of page {page} of the TIFF do not fit together; the file is damaged")
+    bits, samples = tags.get(_BITS, [1]), tags.get(_SAMPLES, [1])[0]
+    if set(bits) - {1, 8, 16, 32, 64} or len(set(bits)) > 1 or len(bits) not in (1, samples):
+        raise damaged
+    places = [(tags[a], tags[n]) for a, n in _PLACES if a in tags and n in tags and len(tags[a]) == len(tags[n])]
+    if len(places) != 1 or not places[0][0]:
+        raise damaged
+    if max(a + n for a, n in zip(*places[0])) > size:
+        raise _Missing
+    if _PLACES[0][0] in tags:
+        height = tags.get(_HEIGHT, [0])[0]
+        rows = min(max(tags.get(_ROWS_PER_STRIP, [height])[0], 1), max(height, 1))
+        n_strips = -(-height // rows)
+        if len(places[0][0]) not in (n_strips, n_strips * samples):
+            raise damaged
+        needed = height * -(-tags.get(_WIDTH, [0])[0] * bits[0] * samples // 8)
+        if tags.get(_PACKING, [1])[0] == 1 and sum(places[0][1]) < needed:
+            raise damaged
 
 
 class _Missing(Exception):
@@ -86,7 +110,8 @@ class _Reader:
         if count > 65535:
             raise _Missing
         raw = self._bytes(start, count * entry_size)
-        wanted = {_WIDTH, _HEIGHT, _BITS, *(tag for pair in _PLACES for tag in pair)}
+        plain = (_KIND, _WIDTH, _HEIGHT, _BITS, _PACKING, _SAMPLES, _ROWS_PER_STRIP)
+        wanted = {*plain, *(tag for pair in _PLACES for tag in pair)}
         tags: dict[int, Sequence[int]] = {}
         for tag, kind, n, value in struct.iter_unpack(self._endian + entry_code, raw):
             if tag in wanted and kind in _CODES and n > 0:

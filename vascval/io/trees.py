@@ -12,7 +12,7 @@ from vascval.io import xml_guard
 from vascval.io.assembly import Keep, assemble
 from vascval.io.foreign import sketch_of
 from vascval.io.gxl import read_gxl
-from vascval.io.image_headers import first_bytes
+from vascval.io.header_checks import first_bytes
 from vascval.io.length_units import require_unit
 from vascval.io.swc import read_swc, write_swc
 from vascval.io.tables import write_table

@@ -1,7 +1,7 @@
 """Volumes: reading and writing images in three dimensions with their place in the world.
 
-SimpleITK does the reading; headers are checked before it is let near a file (:mod:`vascval.io.image_headers`), and the
-memory that the voxels need is known before they are read.
+SimpleITK reads and writes all but MetaImage; headers are checked before it is let near a file
+(:mod:`vascval.io.image_headers`), and the memory that the voxels need is known before they are read.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 
 from vascval.core.errors import InputError
-from vascval.io import itk
+from vascval.io import itk, meta_image
 from vascval.io.atomic import atomic_file
-from vascval.io.image_headers import Header, read_header, require_whole
+from vascval.io.header_checks import Header
+from vascval.io.image_headers import read_header, require_whole
 
 SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd", ".tif", ".tiff")
 _SHARE_OF_AVAILABLE = 0.5
@@ -130,17 +131,20 @@ def read_volume(
         raise InputError(f"{path}: {header.kind} gives no spacing in three dimensions; use --spacing X,Y,Z (mm)")
     _require_memory(path, allowed, header.sizes, header.itemsize)
     require_whole(path, header)
-    image, notes = itk.read_image(path, files, header, partial(_require_memory, path, allowed))
+    if header.kind == "MetaImage":
+        raster = meta_image.read_voxels(path, header)
+    else:
+        raster = itk.read_image(path, files, header, partial(_require_memory, path, allowed))
     if given is not None and header.has_spacing:
-        notes.append(f"spacing given as {given.tolist()} mm, the file says {list(image.GetSpacing())}")
+        raster.notes.append(f"spacing given as {given.tolist()} mm, the file says {raster.spacing.tolist()}")
     scale = header.mm_per_unit
-    meta = {**_stored_meta(header), "source": path.name, "format": header.kind, "notes": notes}
+    meta = {**_stored_meta(header), "source": path.name, "format": header.kind, "notes": raster.notes}
     try:
         volume = Volume(
-            values=itk.values(image),
-            spacing_mm=np.array(image.GetSpacing()) * scale if given is None else given,
-            origin_mm=np.array(image.GetOrigin()) * scale,
-            direction=np.array(image.GetDirection()).reshape(3, 3),
+            values=raster.values,
+            spacing_mm=raster.spacing * scale if given is None else given,
+            origin_mm=raster.origin * scale,
+            direction=raster.direction,
             meta=meta,
         )
     except InputError as error:
