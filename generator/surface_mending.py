@@ -97,15 +97,15 @@ def _filled(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> tuple[np
     return points, faces
 
 
-def _components(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) which body each triangle belongs to, and (E, 2) the pairs of triangles that share an edge."""
+def _components(faces: np.ndarray) -> np.ndarray:
+    """(T,) which shell each triangle belongs to; every edge has two triangles."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
     _, _, index = _edges(faces)
     pairs = (np.argsort(index, kind="stable") // 3).reshape(-1, 2)
     graph = coo_matrix((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(faces),) * 2)
-    return connected_components(graph, directed=False)[1], pairs
+    return connected_components(graph, directed=False)[1]
 
 
 def _turned_alike(faces: np.ndarray, notes: list[str]) -> np.ndarray:
@@ -135,8 +135,8 @@ def _one_body(
     points: np.ndarray, faces: np.ndarray, keep: str, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Shells turned outward, or inward where they bound a cavity; bodies counted."""
-    component, _ = _components(faces)
-    shells = [faces[component == c] for c in range(component.max() + 1)]
+    component = _components(faces)
+    shells = np.split(faces[np.argsort(component, kind="stable")], np.cumsum(np.bincount(component))[:-1])
     volume = np.array([_signed(points[shell]) for shell in shells])
     total = np.abs(volume).sum()
     kept = [c for c in np.argsort(-np.abs(volume)) if abs(volume[c]) > _SPECKS * total / len(shells)]

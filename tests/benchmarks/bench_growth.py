@@ -76,8 +76,8 @@ def scaling(counts: Sequence[int] = (500, 2000, 6000, 24_000, 100_000)) -> str:
         prototype, rivals = PROTOTYPE.get(n), RIVALS.get(n)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
         rows.append(
-            [f"{n:,}", f"{seconds:.2f}", exponent, f"{1e6 * seconds / n:.0f}", f"{growth.volume_mm3:.1f}", f"{peak:.0f}",
-             "" if prototype is None else f"{seconds / prototype[0]:.2f}",
+            [f"{n:,}", f"{seconds:.2f}", exponent, f"{1e6 * seconds / n:.0f}", f"{growth.volume_mm3:.1f}",
+             f"{peak:.0f}", "" if prototype is None else f"{seconds / prototype[0]:.2f}",
              "" if rivals is None else " / ".join(f"{value / seconds:.0f}" for value in rivals)]
         )  # fmt: skip
         before = n, seconds
@@ -95,8 +95,8 @@ def volumes(counts: Sequence[int] = (500, 2000, 6000), seeds: Sequence[int] = (1
         even = np.mean([evenness(BOX, terminals_of(tree)) for tree in trees])
         error = volume.std(ddof=1) / np.sqrt(len(seeds)) if len(seeds) > 1 else np.nan
         goal = PROTOTYPE[n][1] if n in PROTOTYPE else np.nan
-        rows.append([f"{n:,}", f"{volume.mean():.1f}", f"{error:.1f}", f"{goal:.0f}", f"{volume.mean() / goal - 1:+.1%}",
-                     f"{even:.3f}"])  # fmt: skip
+        rows.append([f"{n:,}", f"{volume.mean():.1f}", f"{error:.1f}", f"{goal:.0f}",
+                     f"{volume.mean() / goal - 1:+.1%}", f"{even:.3f}"])  # fmt: skip
     return table(("terminals", "volume mm^3", "standard error", "prototype", "difference", "evenness"), rows)
 
 
@@ -157,7 +157,8 @@ def apart(counts: Sequence[int] = (500, 2000, 6000)) -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "scaling": scaling, "volumes": volumes, "rivals": rivals, "connections": connections, "liver": liver, "apart": apart,
+    "scaling": scaling, "volumes": volumes, "rivals": rivals, "connections": connections, "liver": liver,
+    "apart": apart,
 }  # fmt: skip
 
 
