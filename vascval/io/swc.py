@@ -73,29 +73,33 @@ def _rows(path: Path) -> tuple[list[str], np.ndarray]:
         lines = [line.strip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror}); check its name") from error
-    fields = [(i, re.split(r"[\s,;]+", line)) for i, line in enumerate(lines, start=1) if line and line[0] != "#"]
-    for i, words in fields:
-        if len(words) < 7:
-            raise InputError(f"line {i} has {len(words)} columns; SWC has seven, the file is truncated or no SWC")
-    try:
-        rows = np.array([words[:7] for _, words in fields], dtype=np.float64)
-    except ValueError:
-        bad = next(i for i, words in fields if not all(_is_number(word) for word in words[:7]))
-        raise InputError(f"line {bad} holds something that is no number; the file is damaged or no SWC") from None
-    if rows.size == 0:
+    numbered = [(i, line.translate(_SEPARATORS)) for i, line in enumerate(lines, start=1) if line and line[0] != "#"]
+    if not numbered:
         raise InputError("holds no points; the file is truncated or no SWC")
+    try:
+        rows = np.loadtxt([line for _, line in numbered], usecols=range(7), ndmin=2, comments="#")
+    except ValueError:
+        raise _what_is_wrong(numbered) from None
     wrong = np.flatnonzero(~np.isfinite(rows).all(axis=1) | (rows[:, [0, 6]] % 1 != 0).any(axis=1))
     if wrong.size:
-        raise InputError(f"line {fields[wrong[0]][0]} has a value that is not finite or a broken id; mend it")
+        raise InputError(f"line {numbered[wrong[0]][0]} has a value that is not finite or a broken id; mend it")
     return [line for line in lines if line.startswith("#")], rows
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+_SEPARATORS = str.maketrans(",;", "  ")
+
+
+def _what_is_wrong(numbered: list[tuple[int, str]]) -> InputError:
+    """The error for the first line, of its number and text, that does not hold seven numbers."""
+    for i, line in numbered:
+        words = line.partition("#")[0].split()[:7]
+        if len(words) < 7:
+            return InputError(f"line {i} has {len(words)} columns; SWC has seven, the file is truncated or no SWC")
+        try:
+            [float(word) for word in words]
+        except ValueError:
+            break
+    return InputError(f"line {i} holds something that is no number; the file is damaged or no SWC")
 
 
 def _stated_unit(comments: list[str]) -> str | None:
