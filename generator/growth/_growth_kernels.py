@@ -1,4 +1,8 @@
-"""One terminal after the other: test the nearest segments, take the best connection, bring the tree up to date."""
+"""One terminal after the other: test the nearest segments, take the best connection, bring the tree up to date.
+
+Indices and flags are passed as ``np.int64`` and ``np.bool_``: for literals and narrower integers the compiler would
+compile every callee once more.
+"""
 
 import numpy as np
 
