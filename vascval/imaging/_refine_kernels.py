@@ -207,49 +207,88 @@ def smooth_centres(count, total, offset, position, tangent, arc, low, high, widt
 
 
 @njit
-def end_lines(count, total, offset, arc, low, high, reach, at_end):
-    """A straight line through the slab centroids next to one end of each branch, by regression on arc length.
+def regression(count, total, arc, first, last, a, z):
+    """Weighted regression of slab centroids on arc length between ``a`` and ``z``, in orthogonal polynomials.
+
+    With u the arc length from the mean: ``x = mean + slope u + bend (u^2 - skew u - spread)``.
+
+    :returns: mean arc length, mean (3,), slope (3,), spread (0 of fewer than two slabs), bend (3,), skew, and the square
+        of the bend's t-value.
+    """
+    moments = np.zeros(5)
+    middle, slabs = 0.0, 0
+    mean, slope, bend = np.zeros(3), np.zeros(3), np.zeros(3)
+    for k in range(first, last):
+        if count[k] > 0 and a - 1e-9 <= arc[k] <= z + 1e-9:
+            moments[0] += count[k]
+            middle += count[k] * arc[k]
+            mean += total[k]
+            slabs += 1
+    if slabs < 2:
+        return 0.0, mean, slope, 0.0, bend, 0.0, 0.0
+    mean /= moments[0]
+    middle /= moments[0]
+    for k in range(first, last):
+        if count[k] > 0 and a - 1e-9 <= arc[k] <= z + 1e-9:
+            u = arc[k] - middle
+            slope += u * (total[k] - count[k] * mean)
+            for m in range(2, 5):
+                moments[m] += count[k] * u**m
+    spread = moments[2] / moments[0]
+    if moments[2] == 0.0:
+        return middle, mean, slope, 0.0, bend, 0.0, 0.0
+    slope /= moments[2]
+    skew = moments[3] / moments[2]
+    size = moments[4] - skew * moments[3] - spread * moments[2]
+    if slabs < 6 or size <= 0.0:
+        return middle, mean, slope, spread, bend, skew, 0.0
+    rest = 0.0
+    for k in range(first, last):
+        if count[k] > 0 and a - 1e-9 <= arc[k] <= z + 1e-9:
+            u = arc[k] - middle
+            off = total[k] / count[k] - mean - slope * u
+            bend += count[k] * (u * u - skew * u - spread) * off
+            rest += count[k] * (off**2).sum()
+    bend /= size
+    bent = (bend**2).sum() * size
+    t_square = bent * (slabs - 3) / max(rest - bent, 1e-12 * bent + 1e-300)
+    return middle, mean, slope, spread, bend, skew, t_square
+
+
+@njit
+def end_lines(count, total, offset, arc, low, high, reach, at_end, bend_t):
+    """A straight line next to one end of each branch, by regression of the slab centroids on arc length.
+
+    Where the centroids over twice ``reach`` bend significantly (t-value above ``bend_t``) and cover at least twice the
+    way to the end, the line is the tangent of the parabola at the branch's end.
 
     :param at_end: False for the proximal end, True for the distal one.
     :param reach: (n_branches,) how much of the window is used, mm.
-    :returns: centre of each fit, unit direction (proximal to distal), arc length at the centre, weight (0 where fewer
-        than two slabs hold voxels).
+    :returns: a point on each line, its unit direction (proximal to distal), and a weight, the root of the variance of
+        arc length (0 where fewer than two slabs hold voxels).
     """
     n = offset.size - 1
-    centre = np.zeros((n, 3))
-    direction = np.zeros((n, 3))
-    where = np.zeros(n)
-    weight = np.zeros(n)
+    centre, direction, weight = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
     for b in range(n):
-        a = high[b] - reach[b] if at_end else low[b]
-        z = high[b] if at_end else low[b] + reach[b]
-        mass, moment, slabs = 0.0, 0.0, 0
-        mean = np.zeros(3)
-        for k in range(offset[b], offset[b + 1]):
-            if count[k] > 0 and arc[k] >= max(a, low[b]) - 1e-9 and arc[k] <= min(z, high[b]) + 1e-9:
-                mass += count[k]
-                moment += count[k] * arc[k]
-                mean += total[k]
-                slabs += 1
-        if slabs < 2:
-            continue
-        mean /= mass
-        moment /= mass
-        spread = 0.0
-        slope = np.zeros(3)
-        for k in range(offset[b], offset[b + 1]):
-            if count[k] > 0 and arc[k] >= max(a, low[b]) - 1e-9 and arc[k] <= min(z, high[b]) + 1e-9:
-                s = arc[k] - moment
-                spread += count[k] * s * s
-                slope += s * (total[k] - count[k] * mean)
-        size = np.sqrt((slope**2).sum())
-        if size == 0.0 or spread == 0.0:
-            continue
-        centre[b] = mean
-        direction[b] = slope / size
-        where[b] = moment
-        weight[b] = np.sqrt(spread / mass)
-    return centre, direction, where, weight
+        first, last = offset[b], offset[b + 1]
+        tip = arc[last - 1] if at_end else 0.0
+        for factor in (2.0, 1.0):
+            a = max(low[b], high[b] - factor * reach[b]) if at_end else low[b]
+            z = high[b] if at_end else min(high[b], low[b] + factor * reach[b])
+            middle, mean, slope, spread, bend, skew, t_square = regression(count, total, arc, first, last, a, z)
+            gap = abs(tip - (z if at_end else a))
+            curved = factor == 2.0 and t_square > bend_t * bend_t and z - a >= 2.0 * gap
+            if curved or factor == 1.0:
+                break
+        u = tip - middle
+        point = mean + slope * u + bend * (u * u - skew * u - spread) if curved else mean
+        tangent = slope + bend * (2.0 * u - skew) if curved else slope
+        size = np.sqrt((tangent**2).sum())
+        if size > 0.0 and spread > 0.0:
+            centre[b] = point
+            direction[b] = tangent / size
+            weight[b] = np.sqrt(spread)
+    return centre, direction, weight
 
 
 @njit

@@ -24,6 +24,7 @@ SECTION_VOXELS = 1.0
 SMOOTHING_RADII = 2.0
 MIN_WINDOW = 0.15
 MAX_SHIFT_RADII = 1.0
+BEND_T = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,10 +230,10 @@ def _lines(nodes: _Nodes, now: Refined, stations: _Stations, low: np.ndarray, hi
         reach = np.maximum(4.0 * now.radius_mm, 2.0 * thickest[node])
         parts.append(
             kernels.end_lines(
-                stations.count, stations.total, stations.offset, stations.arc, low, high, reach, at_end
+                stations.count, stations.total, stations.offset, stations.arc, low, high, reach, at_end, BEND_T
             )
         )
-    centre, direction, _, weight = (np.stack(pair, axis=1) for pair in zip(*parts))
+    centre, direction, weight = (np.stack(pair, axis=1) for pair in zip(*parts))
     return _Fit(centre, direction, weight)
 
 
