@@ -212,8 +212,8 @@ def regression(count, total, arc, first, last, a, z):
 
     With u the arc length from the mean: ``x = mean + slope u + bend (u^2 - skew u - spread)``.
 
-    :returns: mean arc length, mean (3,), slope (3,), spread (0 of fewer than two slabs), bend (3,), skew, and the square
-        of the bend's t-value.
+    :returns: mean arc length, mean (3,), slope (3,), spread (0 below two slabs), bend (3,), skew, and the square of the
+        t-value of the bend.
     """
     moments = np.zeros(5)
     middle, slabs = 0.0, 0
