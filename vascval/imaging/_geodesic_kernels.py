@@ -3,6 +3,7 @@
 import numpy as np
 
 from vascval.core.jit import njit
+from vascval.imaging._run_kernels import find
 
 
 @njit
@@ -89,16 +90,6 @@ def geodesic(source, x, row, first, ny, step):
             used += 1
             waiting += 1
     return distance
-
-
-@njit
-def find(up, i):
-    root = i
-    while up[root] != root:
-        root = up[root]
-    while up[i] != root:
-        up[i], i = root, up[i]
-    return root
 
 
 @njit
