@@ -1,15 +1,15 @@
-"""What the page says, section by section."""
+"""What the page says: its title, its legend and its sections in order."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from vascval.report import panels
-from vascval.report.numbers import count, measure
-from vascval.report.page import Cell, Figure, Items, Section, Table, Text
+from vascval.report import comparison_sections, origin_sections, tree_sections
+from vascval.report.page import Section
 from vascval.report.subject import Subject
+from vascval.report.swatches import Swatch, swatch
+
+_ROLES = {"cast": "cast", "tree": "tree", "reference": "published table"}
 
 
 def title(subject: Subject) -> str:
@@ -21,50 +21,41 @@ def title(subject: Subject) -> str:
 def subtitle(subject: Subject) -> str:
     if subject.comparison is None:
         return "One vascular tree, measured"
-    return "A vascular cast and synthetic trees, measured alike and held side by side"
+    return "A vascular cast and synthetic trees, measured by one definition each and held side by side"
 
 
-def legend(subject: Subject) -> Sequence[Any]:
-    return []
+def legend(subject: Subject) -> list[Swatch]:
+    """What each colour, line and marker stands for; none where there is only one tree."""
+    if subject.comparison is None:
+        return []
+    return [swatch(side.series, _role(side.series.role, side.analysis is None)) for side in subject.sides]
+
+
+def _role(role: str, published: bool) -> str:
+    return "published table, for the cast" if role == "cast" and published else _ROLES[role]
 
 
 def sections(subject: Subject, figures: Path) -> list[Section]:
-    """All sections in the order of the page; figures are written on the way."""
-    return [
-        Section("summary", "Summary", [totals(subject)]),
-        Section(
-            "key-statistics",
-            "Key statistics",
-            [
-                Figure("By generation; bars are one standard deviation.", panels.key_statistics(subject, figures)),
-                *(Text(f"{side.label}: {side.citation}", "note") for side in subject.sides if side.citation),
-            ],
-        ),
-        Section("provenance", "Provenance", [Items([(k, str(v)) for k, v in subject.provenance.items()])]),
+    """All sections in the order of the page; their figures are written into ``figures`` on the way."""
+    found = [
+        tree_sections.summary(subject),
+        tree_sections.key_statistics(subject, figures),
+        origin_sections.overlay(subject, figures),
+        tree_sections.generations(subject),
+        tree_sections.orders(subject, figures),
+        tree_sections.horton(subject),
+        tree_sections.junctions(subject, figures),
     ]
-
-
-TOTALS = (
-    ("n_terminals", "terminals", count),
-    ("n_segments", "segments", count),
-    ("n_bifurcations", "bifurcations", count),
-    ("n_trifurcations", "trifurcations", count),
-    ("n_trifurcations_first_7", "\N{EN SPACE}in the first 7 generations", count),
-    ("n_multifurcations", "junctions of four and more", count),
-    ("n_monopodial", "monopodial branches", count),
-    ("n_elements", "elements", count),
-    ("max_order", "Strahler order of the root", count),
-    ("total_length_mm", "total length (mm)", measure),
-    ("volume_mm3", "volume (mm³)", measure),
-)
-
-
-def totals(subject: Subject) -> Any:
-    measured = subject.measured
-    if not measured:
-        return Text("There is no measured tree.", "empty")
-    head = [Cell("", "head")] + [Cell(side.label) for side, _ in measured]
-    body = []
-    for key, label, form in TOTALS:
-        body.append([Cell(label, "head")] + [Cell(form(analysis.summary[key])) for _, analysis in measured])
-    return Table("Totals", [head], body, "tables/totals.csv")
+    if subject.comparison is not None:
+        found += [
+            comparison_sections.distributions(subject, subject.comparison, figures),
+            comparison_sections.location(subject, subject.comparison, figures),
+            comparison_sections.territories(subject, subject.comparison, figures),
+        ]
+    return [
+        *found,
+        origin_sections.image(subject),
+        origin_sections.notes(subject),
+        origin_sections.provenance(subject),
+        origin_sections.definitions(subject),
+    ]

@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from vascval.comparison import Comparison
+from vascval.imaging import Skeleton
 from vascval.io.tables import write_table
 from vascval.report.subject import Subject
 
@@ -37,6 +38,8 @@ def tables(subject: Subject) -> dict[str, pd.DataFrame]:
     published = [(side.source, side.generations) for side in subject.sides if side.analysis is None]
     if published:
         found["reference"] = _stacked(published)
+    if subject.skeleton is not None:
+        found["image-positions"] = _positions(subject.skeleton)
     if subject.comparison is not None:
         found |= _of_comparison(subject, subject.comparison)
     return found
@@ -64,6 +67,13 @@ def _of_comparison(subject: Subject, comparison: Comparison) -> dict[str, pd.Dat
     if comparison.reference_differences:
         found["reference-differences"] = _stacked(list(zip(measured, comparison.reference_differences)))
     return {name: table for name, table in found.items() if len(table.columns) > 1}
+
+
+def _positions(skeleton: Skeleton) -> pd.DataFrame:
+    """Where loops were cut, spurs pruned and breaks joined, one row each."""
+    kinds = (("loop", skeleton.loops_mm), ("spur", skeleton.spurs_mm), ("break", skeleton.breaks_mm))
+    rows = [(kind, *place) for kind, places in kinds for place in places.tolist()]
+    return pd.DataFrame(rows, columns=["kind", "x_mm", "y_mm", "z_mm"])
 
 
 def _stacked(parts: list[tuple[str, pd.DataFrame]]) -> pd.DataFrame:

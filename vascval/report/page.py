@@ -12,7 +12,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table: its text, how it looks (``num``, ``text``, ``head``, ``delta``) and how many columns it takes."""
+    """A cell of a table: its text, how it looks (``num``, ``text``, ``head``, ``group``, ``delta``) and its columns."""
 
     text: str
     look: str = "num"
@@ -42,6 +42,15 @@ class Picture:
     @property
     def uri(self) -> str:
         return f"data:{self.mime};base64,{base64.b64encode(self.data).decode()}"
+
+
+def square(colour: str) -> str:
+    """A square of one colour, as the address of an image."""
+    svg = (
+        '<svg xmlns="http://www.w3.org/2000/svg" width="14" height="14">'
+        f'<rect width="14" height="14" rx="3" fill="{colour}"/></svg>'
+    )
+    return Picture("", "", svg.encode()).uri
 
 
 @dataclass(frozen=True)
@@ -103,6 +112,7 @@ def render(title: str, subtitle: str, sections: Sequence[Section], *, version: s
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["swatch"] = square
     style, script = _asset("report.css"), _asset("viewer.js")
     return environment.get_template("report.html").render(
         title=title,

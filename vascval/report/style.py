@@ -51,7 +51,7 @@ TREES: tuple[tuple[str, str, Any, str], ...] = (
     ("#159a9c", "<", (0, (2, 2)), "oo"),
 )
 SURFACE = "#9aa3ac"
-LOOP_COLOUR, SPUR_COLOUR = "#c77700", "#0067a5"
+LOOP_COLOUR, SPUR_COLOUR, BREAK_COLOUR = "#c77700", "#0067a5", "#a3177a"
 INK, MUTED, RULE = "#1d2126", "#5b636c", "#d7dbdf"
 
 _RC: dict[str, Any] = {
@@ -86,10 +86,12 @@ _RC: dict[str, Any] = {
     "svg.hashsalt": "vascval",
     "svg.fonttype": "path",
     "path.simplify": True,
+    "text.parse_math": False,
+    "axes.formatter.use_mathtext": False,
 }
 
 
-def rc() -> dict[str, Any]:
+def rc() -> Any:
     """A copy of the matplotlib settings of every figure."""
     return dict(_RC)
 

@@ -64,8 +64,8 @@ def write_picture(path: Path, layers: Sequence[Tubes], *, surface: Surface | Non
     """
     if not can_render():
         raise ComputationError(
-            "VTK cannot draw without a display here; install EGL or OSMesa (Debian: libegl1 libgl1-mesa-dri libosmesa6) "
-            "with vtk 9.4 or newer, or set DISPLAY"
+            "VTK cannot draw without a display here; install EGL or OSMesa (Debian: libegl1 libgl1-mesa-dri "
+            "libosmesa6) with vtk 9.4 or newer, or set DISPLAY"
         )
     seen = viewpoint(*bounds_mm(surface, layers))
     plotter = _plotter(layers, surface, seen, off_screen=True)
@@ -121,7 +121,7 @@ def _plotter(layers: Sequence[Tubes], surface: Surface | None, seen: Viewpoint, 
         mesh = pyvista.PolyData.from_regular_faces(surface.points_mm, surface.triangles)
         plotter.enable_depth_peeling()
         plotter.add_mesh(mesh, color=SURFACE, opacity=0.35, smooth_shading=True)
-    right, up, back = seen.axes
+    _, up, back = seen.axes
     distance = 10.0 * max(_shown(seen))
     plotter.enable_parallel_projection()
     plotter.camera.position = seen.centre_mm + distance * back
