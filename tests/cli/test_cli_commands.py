@@ -1,6 +1,7 @@
 """What the commands promise: names of files and keys, what goes to stdout, and nothing twice or by halves."""
 
 import json
+from pathlib import Path
 import os
 import re
 import subprocess
@@ -226,6 +227,15 @@ def test_schema(name, capsys):
     document = json.loads(run(["schema", name], capsys))
     jsonschema.Draft202012Validator.check_schema(document)
     assert name in run(["schema"], capsys).splitlines()
+
+
+def test_schemas_on_disk_are_those_of_the_code(tmp_path, capsys):
+    run(["schema", "--write", tmp_path], capsys)
+    folder = Path(__file__).resolve().parents[2] / "data_schemas"
+    on_disk = {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()}
+    assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == on_disk, (
+        "run: vascval schema --write data_schemas"
+    )
 
 
 def test_units_of_a_tree_file(tmp_path, tree_file, capsys):

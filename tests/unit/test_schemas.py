@@ -18,8 +18,6 @@ from vascval.io.documents import plain, read_reference_table
 from vascval.io.rows import TABLES
 from vascval.morphometry import analyze
 
-FOLDER = Path(__file__).resolve().parents[2] / "data_schemas"
-
 CLI_KEYS = {
     "summary": "n_terminals n_segments n_bifurcations n_trifurcations n_trifurcations_first_7 n_monopodial "
     "total_length_mm volume_mm3 max_order n_overlaps",
@@ -46,17 +44,6 @@ def comparison(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", schemas.names())
-def test_schemas_on_disk_are_those_of_the_code(name):
-    path = FOLDER / f"{name}.json"
-    assert path.is_file(), "run: python -m vascval.io.schemas data_schemas"
-    assert path.read_text(encoding="utf-8") == schemas.text(name), "run: python -m vascval.io.schemas data_schemas"
-
-
-def test_no_schema_on_disk_is_orphaned():
-    assert sorted(path.stem for path in FOLDER.glob("*.json")) == sorted(schemas.names())
-
-
-@pytest.mark.parametrize("name", schemas.names())
 def test_schemas_are_sound_and_every_value_is_explained(name):
     schema = schemas.schema(name)
     jsonschema.Draft202012Validator.check_schema(schema)
@@ -74,13 +61,6 @@ def test_an_unknown_schema_is_refused():
         schemas.schema("nonsense")
     with pytest.raises(InputError, match="no schema is named 'generations'"):
         schemas.schema("generations")
-
-
-def test_write_all_writes_what_is_on_disk(tmp_path):
-    schemas.write_all(tmp_path)
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
-        path.name: path.read_bytes() for path in FOLDER.glob("*.json")
-    }
 
 
 def test_tree_arrays_are_the_registered_columns():

@@ -1,13 +1,10 @@
-"""JSON Schemas of everything that is read or written, generated from the models; see ``data_schemas/``.
+"""JSON Schemas of everything that is read or written here, generated from the models; see ``data_schemas/``.
 
-``python -m vascval.io.schemas DIRECTORY`` writes them all.
+``vascval schema --write DIRECTORY`` writes them all, and that of the generator's configuration.
 """
 
 from __future__ import annotations
 
-import json
-import sys
-from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
@@ -74,18 +71,3 @@ def _tree_arrays() -> dict[str, Any]:
         "required": ["cell_data"],
         "additionalProperties": True,
     }
-
-
-def text(name: str) -> str:
-    """The schema as it is written to a file: indented, ending in a newline."""
-    return json.dumps(schema(name), indent=2, ensure_ascii=False) + "\n"
-
-
-def write_all(directory: str | Path) -> None:
-    """Write every schema as ``NAME.json`` into the directory."""
-    for name in names():
-        (Path(directory) / f"{name}.json").write_text(text(name), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    write_all(sys.argv[1] if len(sys.argv) > 1 else "data_schemas")
