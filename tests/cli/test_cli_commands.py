@@ -1,11 +1,11 @@
 """What the commands promise: names of files and keys, what goes to stdout, and nothing twice or by halves."""
 
 import json
-from pathlib import Path
 import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import jsonschema
 import numpy as np

@@ -4,9 +4,9 @@ Kernels are lazily compiled (eager signatures refuse read-only arrays), release 
 drive them, and use strict IEEE arithmetic: no ``fastmath``, so that a result is the same bit for bit from run to run.
 
 They are cached on disk between runs. numba renews a cached function when its own file changes, but not when a function
-that it calls does. The cache therefore lies in a folder named by a digest of all kernel files of the room (kernels call
-none of other rooms), in the user's cache directory or ``NUMBA_CACHE_DIR``; where that cannot be written numba falls back
-to its own places.
+that it calls does. The cache therefore lies in a folder named by a digest of all kernel files of the room (kernels
+call none of other rooms), in the user's cache directory or ``NUMBA_CACHE_DIR``; where that cannot be written numba
+falls back to its own places.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ def njit(function: F | None = None, **options: Any) -> Any:
     """:func:`numba.njit` with ``cache=True`` and ``nogil=True``; use as ``@njit`` or ``@njit(inline="always")``."""
     if function is None:
         return lambda decorated: njit(decorated, **options)
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _cache_dir(_room(Path(function.__code__.co_filename)))  # type: ignore[attr-defined]
+    settings: Any = numba.config
+    before = settings.CACHE_DIR
+    settings.CACHE_DIR = _cache_dir(_room(Path(function.__code__.co_filename)))  # type: ignore[attr-defined]
     try:
         return numba.njit(cache=True, nogil=True, **options)(function)
     finally:
-        numba.config.CACHE_DIR = before
+        settings.CACHE_DIR = before
 
 
 def _room(file: Path) -> Path:

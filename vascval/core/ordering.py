@@ -26,7 +26,9 @@ def root_first(parent: np.ndarray) -> np.ndarray:
     order = kernels.breadth_first(parent.astype(np.int64), int(roots[0]))
     if order.size < parent.size:
         lost = np.setdiff1d(np.arange(parent.size), order)
-        raise InputError(f"{lost.size} nodes are unreachable from the root (first: node {lost[0]}); they lie on a cycle")
+        raise InputError(
+            f"{lost.size} nodes are unreachable from the root (first: node {lost[0]}); they lie on a cycle: cut it"
+        )
     return order
 
 

@@ -145,7 +145,8 @@ class Tree:
         offset = _frozen(self.polyline_offset, "int64")
         n = self.topology.n_nodes
         if points.ndim != 2 or points.shape[1] != 3 or offset.shape != (n + 1,):
-            raise InputError(f"polylines have shapes {points.shape} and {offset.shape}; (M, 3) and ({n + 1},) are needed")
+            shapes = f"{points.shape} and {offset.shape}"
+            raise InputError(f"polylines have shapes {shapes}; (M, 3) and ({n + 1},) are needed")
         if offset[0] != 0 or offset[1] != 0 or offset[-1] != len(points):
             raise InputError("polyline_offset must begin with 0, 0 and end with the number of points")
         size = np.diff(offset)[1:]
