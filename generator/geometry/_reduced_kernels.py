@@ -109,33 +109,28 @@ def pull(parent, position, moves, length, slope, gradient):
 
 
 @njit
-def cost(parent, length, radius, free, l_min, l_pull, l_stiff, r_log, r_pull, r_stiff, push, lift, stiff):
-    """Volume of the free segments plus the augmented Lagrangian of the bounds; its derivatives by radii and lengths.
+def cost(length, radius, free, shortest, pull, bound, push, lift, stiff):
+    """Volume of the free segments plus the augmented Lagrangian of ``l >= shortest``; derivatives by radii and lengths.
 
-    A bound ``b >= c`` with multiplier ``m`` and stiffness ``k`` adds ``(t^2 - m^2) / (2 k)``, ``t = max(0, m + k (c - b))``.
+    A bound with multiplier ``m = pull_i`` and stiffness ``k = bound_i`` adds ``(t^2 - m^2) / (2 k)`` with
+    ``t = max(0, m + k (shortest - l))``; where ``k`` is 0 there is none.
 
-    :param l_pull, l_stiff: (N,) multiplier and stiffness of ``l >= l_min``; a stiffness of 0: no bound.
-    :param r_log, r_pull, r_stiff: the same for ``log r >= r_log``.
-    :param push, lift, stiff: (N,) out: derivatives by ``log r`` and by ``l``; curvature that the bound on ``l`` adds.
+    :param push, lift, stiff: (N,) out: derivatives by ``log r`` and by ``l``; curvature that the bound adds.
     """
     total = 0.0
-    for i in range(1, parent.size):
+    for i in range(1, length.size):
         if not free[i]:
             continue
         lift[i] = math.pi * radius[i] * radius[i]
         push[i] = 2.0 * lift[i] * length[i]
         total += lift[i] * length[i]
         stiff[i] = 0.0
-        if l_stiff[i] > 0.0:
-            t = max(0.0, l_pull[i] + l_stiff[i] * (l_min - length[i]))
-            total += (t * t - l_pull[i] * l_pull[i]) / (2.0 * l_stiff[i])
+        if bound[i] > 0.0:
+            t = max(0.0, pull[i] + bound[i] * (shortest - length[i]))
+            total += (t * t - pull[i] * pull[i]) / (2.0 * bound[i])
             lift[i] -= t
             if t > 0.0:
-                stiff[i] = l_stiff[i]
-        if r_stiff[i] > 0.0:
-            t = max(0.0, r_pull[i] + r_stiff[i] * (r_log - math.log(radius[i])))
-            total += (t * t - r_pull[i] * r_pull[i]) / (2.0 * r_stiff[i])
-            push[i] -= t
+                stiff[i] = bound[i]
     return total
 
 

@@ -31,8 +31,8 @@ class Physics:
     """What beside Poiseuille and Murray decides the geometry.
 
     * ``viscosity``: constant, or by radius (paper, formula (2));
-    * ``gamma_by_generation``: branching exponents for the nodes at the end of segments of Strahler generation 1, 2, ...,
-      the last for all later ones; empty: the perfusion's;
+    * ``gamma_by_generation``: branching exponents for the nodes at the end of segments of Strahler generation 1, 2,
+      ..., the last for all later ones; empty: the perfusion's;
     * ``objective``: ``volume``, at given root pressure; or ``volume+power``, in which the root pressure is free and the
       power that moves the blood, ``Q (p_root - p_term)``, counts as ``power / metabolic_pa_s`` cubic millimetres. At a
       given root pressure that power is a constant and would change nothing.
@@ -76,8 +76,8 @@ class Problem:
     position_mm: np.ndarray
     perfusion: Perfusion
     physics: Physics = Physics()
-    fixed_radius_mm: np.ndarray | None = None
-    held: np.ndarray | None = None
+    fixed_radius_mm: np.ndarray = None  # type: ignore[assignment]
+    held: np.ndarray = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         n = self.topology.n_nodes
@@ -100,6 +100,13 @@ class Problem:
             values.setflags(write=False)
             object.__setattr__(self, name, values)
         _ = self.stem_loss_pa
+        rigid = self.free & ~self.bounded & ~held & ~held[self.topology.parent]
+        short = np.flatnonzero(rigid & (self.lengths(position) < self.physics.l_min_mm))
+        if short.size:
+            raise ComputationError(
+                f"{short.size} segments between two given points are shorter than l_min {self.physics.l_min_mm:g} mm "
+                f"(first: segment {short[0]}); lower l_min_mm or move the points"
+            )
 
     @property
     def n_nodes(self) -> int:
@@ -125,6 +132,11 @@ class Problem:
     def moves(self) -> np.ndarray:
         """(N,) bool: nodes whose position is a variable: inner ends of free segments that are not held."""
         return self.free & (self.topology.n_children > 0) & ~self.held
+
+    @cached_property
+    def bounded(self) -> np.ndarray:
+        """(N,) bool: segments to whose length the lower bound applies: those that an end can change."""
+        return self.free & (self.moves | self.moves[self.topology.parent])
 
     @cached_property
     def stems(self) -> np.ndarray:
@@ -158,9 +170,10 @@ class Problem:
         loss = self.fixed_pressure_loss_pa[self.topology.parent[self.stems]]
         short = np.flatnonzero(loss >= self.perfusion.pressure_drop_pa)
         if short.size and self.physics.objective == "volume":
+            drop = self.perfusion.pressure_drop_pa
             raise ComputationError(
-                f"the root tree contradicts the flow: it uses up {loss[short[0]]:.4g} of {self.perfusion.pressure_drop_pa:.4g} "
-                f"Pa before segment {self.stems[short[0]]}; widen it, lower the flow or raise the root pressure"
+                f"the root tree contradicts the flow: it uses up {loss[short[0]]:.4g} of {drop:.4g} Pa before segment "
+                f"{self.stems[short[0]]}; widen it, lower the flow or raise the root pressure"
             )
         return loss
 
@@ -174,8 +187,12 @@ class Problem:
         """The same problem, begun from elsewhere."""
         return replace(self, position_mm=position_mm)
 
+    def at_given_pressure(self) -> Problem:
+        """The same problem with volume alone as its objective."""
+        return replace(self, physics=replace(self.physics, objective="volume"))
 
-def _refuse(bad: np.ndarray, what: str, kind: str) -> None:
+
+def _refuse(bad: np.ndarray | np.bool_, what: str, kind: str) -> None:
     ids: Sequence[int] = np.flatnonzero(bad).tolist()
     if ids:
         raise InputError(f"{len(ids)} {what} (first: {kind} {ids[0]}); mend the tree before its geometry is optimised")
@@ -186,7 +203,8 @@ class Solution:
     """An optimised geometry.
 
     ``cost_mm3`` is the objective (the volume, unless power counts too), ``residual`` the largest force left at a node
-    relative to the sum of those that pull at it, ``violation`` the largest relative violation of a lower bound.
+    relative to the sum of those that pull at it, ``violation`` the largest relative violation of the lower bound on
+    lengths, ``pull`` (N,) the force, in mm^2, with which it holds each segment.
     """
 
     problem: Problem
@@ -196,3 +214,4 @@ class Solution:
     residual: float
     violation: float
     n_iterations: int
+    pull: np.ndarray

@@ -11,7 +11,7 @@ One step costs O(N).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,9 +29,14 @@ _SWEEPS = 100
 
 @dataclass(frozen=True)
 class ReducedOptions:
-    """``smoothing``: the values of ``eps`` gone through, in mean lengths of a segment; ``tolerance``: largest force left
-    at a node, relative to those that pull at it; ``rough`` the same before the last ``eps``; ``max_steps`` per value of
-    ``eps``; ``violation``: relative, of a bound."""
+    """How the search goes.
+
+    * ``smoothing``: the values of ``eps`` gone through, in mean lengths of a segment;
+    * ``tolerance``: largest force left at a node, relative to those that pull at it; ``rough``: the same before the
+      last ``eps``;
+    * ``max_steps``: per value of ``eps``;
+    * ``violation``: of the bound on lengths, relative.
+    """
 
     smoothing: tuple[float, ...] = (0.5, 0.15, 0.05, 0.015, 0.005, 0.001)
     tolerance: float = 1e-4
@@ -43,73 +48,85 @@ class ReducedOptions:
 def solve_reduced(problem: Problem, options: ReducedOptions | None = None) -> Solution:
     """The optimal geometry, from where the problem begins.
 
-    :raises ComputationError: when the search does not converge or the lower bounds cannot be held.
+    :raises ComputationError: when the search does not converge, the lower bound on lengths cannot be held, or radii
+        come out below theirs.
     """
     options = options or ReducedOptions()
     model = Model(problem)
     position = np.array(problem.position_mm)
     scale = float(problem.lengths(position)[problem.free].mean())
-    bounded = problem.physics.l_min_mm > 0.0 or problem.physics.r_min_mm > 0.0
+    shortest = problem.physics.l_min_mm
     steps = 0
     for factor in options.smoothing[:-1]:
         model.eps = factor * scale
         model.stiffen()
-        position, taken, _ = _descend(model, position, options.rough, 60, strict=False)
-        model.update_bounds()
-        steps += taken
+        found = _descend(model, position, options.rough, 60)
+        position, steps = found.position, steps + found.steps
+        model.update_bound()
     model.eps = options.smoothing[-1] * scale
-    if problem.physics.l_min_mm > 0.0:
-        model.eps = min(model.eps, 1e-3 * problem.physics.l_min_mm)
+    if shortest > 0.0:
+        model.eps = min(model.eps, 1e-3 * shortest)
     last = np.inf
-    for _ in range(40 if bounded else 1):
+    for _ in range(40):
         model.stiffen()
-        position, taken, residual = _descend(model, position, options.tolerance, options.max_steps, strict=True)
-        steps += taken
-        violation, where = model.update_bounds()
+        found = _descend(model, position, options.tolerance, options.max_steps)
+        position, steps = found.position, steps + found.steps
+        violation, where = model.update_bound()
+        if not found.residual <= options.tolerance:
+            break
         if violation <= options.violation:
-            tree = model.tree(position)
-            return Solution(problem, position, tree, model.plain_cost(tree), residual, violation, steps)
+            solution = evaluate(problem.at(position), eps=model.eps, pull=model.pull, n_iterations=steps)
+            return _thick_enough(solution)
         if violation > 0.25 * last:
             model.stiffening *= 4.0
         last = violation
+    bound = f"; {where}, where l_min_mm={shortest:g} is asked for: lower it" if violation > options.violation else ""
     raise ComputationError(
-        f"the lower bounds cannot be held: {where} (in {problem.n_nodes - 1} segments); lower geometry.l_min_mm or "
-        "geometry.r_min_mm, ask for fewer terminals, or lower the pressure drop"
+        f"the geometry of {problem.topology.n_terminals} terminals did not converge in {steps} steps: the forces at a "
+        f"node are out of balance by {found.residual:.2g} of those that pull at it, {options.tolerance:g} being asked for{bound}"
     )
 
 
-def _descend(
-    model: Model, position: np.ndarray, tolerance: float, max_steps: int, *, strict: bool
-) -> tuple[np.ndarray, int, float]:
-    """Steps until the forces balance; ``strict``: not getting there is an error."""
+def _thick_enough(solution: Solution) -> Solution:
+    limit, free = solution.problem.physics.r_min_mm, solution.problem.free
+    radius = solution.tree.radius_mm
+    thin = np.flatnonzero(free & (radius < limit * (1.0 - 1e-9)))
+    if thin.size:
+        worst = thin[radius[thin].argmin()]
+        raise ComputationError(
+            f"{thin.size} segments of the optimal geometry are thinner than r_min {limit:g} mm (segment {worst}: "
+            f"{radius[worst]:.4g} mm); lower r_min_mm, or use geometry.solver=ipopt, which "
+            "can hold such a bound where that is possible"
+        )
+    return solution
+
+
+@dataclass(frozen=True, eq=False)
+class _Descent:
+    position: np.ndarray
+    steps: int
+    residual: float
+
+
+def _descend(model: Model, position: np.ndarray, tolerance: float, max_steps: int) -> _Descent:
+    """Steps until the forces balance to ``tolerance``, or there is no way down, or they are ``max_steps``."""
     cost = model.cost(position)
-    for taken in range(max_steps + 1):
-        gradient = model.gradient(position)
+    gradient = model.gradient(position)
+    for taken in range(max_steps):
         residual = model.residual(gradient)
         if residual <= tolerance:
-            return position, taken, residual
+            return _Descent(position, taken, residual)
         direction = -model.step(position, gradient)
         slope = kernels.dot(gradient, direction)
         length = 1.0
-        while taken < max_steps:
-            trial = position + length * direction
-            found = model.cost(trial)
-            if found <= cost + 1e-4 * length * slope + 1e-13 * abs(cost):
-                break
+        while (lower := model.cost(position + length * direction)) > cost + 1e-4 * length * slope + 1e-13 * abs(cost):
             length *= 0.5
             if length < 1e-9:
-                taken = max_steps
-        if taken == max_steps:
-            break
-        position, cost = trial, found
-    if strict:
-        raise ComputationError(
-            f"the geometry did not converge: the forces at a node are out of balance by {residual:.2g} of those that pull "
-            f"at it, where {tolerance:g} is asked for, after {max_steps} steps; begin from another tree"
-        )
-    model.cost(position)
-    model.gradient(position)
-    return position, max_steps, residual
+                model.cost(position)
+                return _Descent(position, taken, residual)
+        position, cost = position + length * direction, lower
+        gradient = model.gradient(position)
+    return _Descent(position, max_steps, model.residual(gradient))
 
 
 class Model:
@@ -131,7 +148,7 @@ class Model:
         self.length, self.radius, self.rho, self.q = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
         self.total, self.below, self.slope, self.stretch = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
         self.push, self.lift, self.stiff = np.zeros(n), np.zeros(n), np.zeros(n)
-        self.l_pull, self.l_stiff, self.r_pull, self.r_stiff = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+        self.pull, self.bound = np.zeros(n), np.zeros(n)
         self.factor, self.bend, self.feedback = np.ones(n), np.zeros(n), np.zeros(n)
         self._scratch, self._blocks = np.zeros(n), np.zeros((n, 6))
 
@@ -141,10 +158,9 @@ class Model:
         self._find_radii()
         if not np.isfinite(self.radius).all():
             return np.inf
-        r_min = self.physics.r_min_mm
         total = kernels.cost(
-            self.parent, self.length, self.radius, self.problem.free, self.physics.l_min_mm, self.l_pull, self.l_stiff,
-            np.log(r_min) if r_min > 0.0 else 0.0, self.r_pull, self.r_stiff, self.push, self.lift, self.stiff,
+            self.length, self.radius, self.problem.free, self.physics.l_min_mm, self.pull, self.bound, self.push,
+            self.lift, self.stiff,
         )  # fmt: skip
         return total + self._power_mm3()
 
@@ -185,9 +201,9 @@ class Model:
         self.stem[self.problem.stems] = self.problem.perfusion.kappa_pa_s * self.problem.terminal_flow_mm3_s / left
 
     def _best_drop(self) -> float:
-        """The pressure drop at which volume plus power is least: each stem's volume falls with the root of what is left.
+        """The pressure drop at which volume plus power is least.
 
-        The derivative ``Q / metabolic - sum_j V_j left_j^(-1) / 2`` rises with the drop; its root is bracketed and
+        Each stem's volume falls with the root of what is left. The derivative ``Q / metabolic - sum_j V_j left_j^(-1) / 2`` rises with the drop; its root is bracketed and
         found by bisection in the logarithm of the pressure left for the stem that has least.
         """
         problem = self.problem
@@ -227,7 +243,9 @@ class Model:
             if change <= 1e-13 * np.abs(self.push).max():
                 break
         else:
-            raise ComputationError(f"the adjoint of viscosity did not settle in {_SWEEPS} sweeps; use constant viscosity")
+            raise ComputationError(
+                f"the adjoint of viscosity did not settle in {_SWEEPS} sweeps; use constant viscosity"
+            )
         gradient = np.empty((self.problem.n_nodes, 3))
         kernels.pull(self.parent, position, self.problem.moves, self.length, self.slope, gradient)
         return gradient
@@ -249,33 +267,21 @@ class Model:
         return out
 
     def stiffen(self) -> None:
-        """Stiffness of the bounds in proportion to the forces that press on them."""
+        """Stiffness of the bound in proportion to the force that presses on it."""
         if self.physics.l_min_mm > 0.0:
-            pressing = np.where(self.problem.free, np.maximum(self.weight, 0.0), 0.0)
-            floor = 1e-3 * pressing.max() + 1e-12
-            stiff = self.stiffening * np.maximum(pressing, floor) / self.physics.l_min_mm
-            self.l_stiff = np.where(self.problem.free, np.maximum(stiff, self.l_stiff), 0.0)
-        if self.physics.r_min_mm > 0.0:
-            stiff = self.stiffening * np.maximum(self.push, 1e-3 * self.push.max() + 1e-12)
-            self.r_stiff = np.where(self.problem.free, np.maximum(stiff, self.r_stiff), 0.0)
+            pressing = np.maximum(self.weight, 1e-3 * self.weight.max() + 1e-12)
+            stiff = np.maximum(self.stiffening * pressing / self.physics.l_min_mm, self.bound)
+            self.bound = np.where(self.problem.bounded, stiff, 0.0)
 
-    def update_bounds(self) -> tuple[float, str]:
+    def update_bound(self) -> tuple[float, str]:
         """New multipliers; the largest relative violation and, in words, where it is."""
-        worst, where = 0.0, ""
-        free = self.problem.free
-        for limit, value, pull, stiff, what in (
-            (self.physics.l_min_mm, self.length, self.l_pull, self.l_stiff, "length"),
-            (self.physics.r_min_mm, self.radius, self.r_pull, self.r_stiff, "radius"),
-        ):
-            if limit <= 0.0:
-                continue
-            gap = limit - value if what == "length" else np.log(limit / np.where(free, value, limit))
-            pull[:] = np.where(free, np.maximum(0.0, pull + stiff * gap), 0.0)
-            relative = np.where(free, 1.0 - value / limit, 0.0)
-            i = int(relative.argmax())
-            if relative[i] > worst:
-                worst, where = float(relative[i]), f"segment {i} has {what} {value[i]:.4g} mm where {limit:g} is asked for"
-        return worst, where
+        limit = self.physics.l_min_mm
+        if limit == 0.0:
+            return 0.0, ""
+        gap = np.where(self.problem.bounded, limit - self.length, 0.0)
+        self.pull = np.maximum(0.0, self.pull + self.bound * gap)
+        i = int(gap.argmax())
+        return max(0.0, float(gap[i]) / limit), f"segment {i} has length {self.length[i]:.4g} mm"
 
     def tree(self, position: np.ndarray) -> Tree:
         """The tree at these positions, with exact lengths, radii, flows and pressures."""
@@ -312,17 +318,22 @@ def tree_of(
     return Tree(problem.topology, position, np.where(np.arange(radius.size) > 0, radius, 0.0), columns)
 
 
-def evaluate(problem: Problem) -> Solution:
-    """The problem where it begins, nothing moved: radii, tree and cost."""
+def evaluate(
+    problem: Problem, *, eps: float = 0.0, pull: np.ndarray | None = None, n_iterations: int = 0
+) -> Solution:
+    """The problem where it begins, nothing moved: radii, tree, cost, and how far it is from an optimum.
+
+    :param eps: smoothing of the lengths, in mm, that the forces are judged by.
+    :param pull: (N,) forces with which bounds hold segments, in mm^2 as the derivatives of volume by length.
+    """
     model = Model(problem)
+    model.eps = eps
+    pull = np.zeros(problem.n_nodes) if pull is None else pull
     position = np.array(problem.position_mm)
     model.cost(position)
+    model.lift -= pull
     residual = model.residual(model.gradient(position))
     tree = model.tree(position)
-    limit = replace(problem.physics)
-    violation = max(
-        (1.0 - tree.length_mm[problem.free] / limit.l_min_mm).max() if limit.l_min_mm > 0 else 0.0,
-        (1.0 - tree.radius_mm[problem.free] / limit.r_min_mm).max() if limit.r_min_mm > 0 else 0.0,
-        0.0,
-    )
-    return Solution(problem, position, tree, model.plain_cost(tree), residual, float(violation), 0)
+    short = problem.physics.l_min_mm - tree.length_mm[problem.bounded]
+    violation = float(short.max(initial=0.0)) / max(problem.physics.l_min_mm, 1e-300)
+    return Solution(problem, position, tree, model.plain_cost(tree), residual, violation, n_iterations, pull)

@@ -1,0 +1,109 @@
+"""What an optimised tree may not do: leave the domain, or run through itself where growth was asked to avoid it.
+
+The cost knows neither. From a tree that is admissible, each node goes as far towards its optimum as it may: nodes of
+offending segments go back, half of the way again and again, until nothing offends; then the others are optimised once
+more with those held, and so on. Where every node is back, the tree is the one that it began with, so that this always
+ends in an admissible tree. It gives up the optimum at the held nodes, which do not slide along the wall.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from generator.domain import Domain
+from generator.geometry import _clearance_kernels as kernels
+from generator.geometry.problem import Problem, Solution
+from generator.geometry.reduced import evaluate
+from vascval.core.errors import ComputationError
+from vascval.core.tree import Tree
+
+_ROUNDS = 8
+_HALVINGS = 6
+
+
+@dataclass(frozen=True)
+class Admission:
+    """``domain``: where every segment lies, ``None``: anywhere; ``apart``: vessels without a common node keep apart by
+    this times the sum of their radii, 0: they may overlap."""
+
+    domain: Domain | None = None
+    apart: float = 0.0
+
+    @property
+    def always(self) -> bool:
+        """Whether there is nothing to check: a node's optimum lies in the convex hull of its neighbours."""
+        return self.apart == 0.0 and (self.domain is None or self.domain.space.convex)
+
+    def offending(self, tree: Tree) -> np.ndarray:
+        """(N,) bool: segments that are not wholly inside or overlap another."""
+        marked = np.zeros(tree.n_nodes, dtype=bool)
+        if self.domain is not None and not self.domain.space.convex:
+            marked[1:] = ~self.domain.segments_inside(tree.position_mm[tree.parent[1:]], tree.position_mm[1:])
+        if self.apart > 0.0:
+            start, end = tree.position_mm[tree.parent], tree.position_mm
+            start = np.vstack((end[:1], start[1:]))
+            wide = self.apart * tree.radius_mm[:, None]
+            low, high = np.minimum(start, end) - wide, np.maximum(start, end) + wide
+            order = 1 + np.argsort(low[1:, 0], kind="stable")
+            kernels.mark_overlapping(
+                tree.parent, tree.position_mm, tree.radius_mm, self.apart, order, low, high, marked
+            )
+        return marked
+
+
+def admitted(
+    problem: Problem, admission: Admission, solve: Callable[[Problem], Solution], *, tolerated: np.ndarray | None = None
+) -> Solution:
+    """The optimum of ``problem`` as far as it is admissible.
+
+    :param tolerated: (N,) bool: segments that offend at the start and may go on doing so (a root tree outside).
+    :raises ComputationError: when the tree at the start offends elsewhere.
+    """
+    optimum = solve(problem)
+    if admission.always:
+        return optimum
+    begin = evaluate(problem)
+    tolerated = np.zeros(problem.n_nodes, bool) if tolerated is None else tolerated
+    bad = np.flatnonzero(admission.offending(begin.tree) & ~tolerated)
+    if bad.size:
+        raise ComputationError(
+            f"{bad.size} segments leave the domain or overlap others before the geometry is optimised (first: segment "
+            f"{bad[0]}); grow the tree inside the domain, without intersections if they are to be avoided"
+        )
+    best, steps = begin, optimum.n_iterations
+    for _ in range(_ROUNDS):
+        share = _retreat(problem.at(best.position_mm), optimum, admission, tolerated)
+        position = best.position_mm + share[:, None] * (optimum.position_mm - best.position_mm)
+        found = evaluate(problem.at(position))
+        if not found.cost_mm3 < best.cost_mm3:
+            break
+        best = found
+        if (share == 1.0).all():
+            best = replace(found, residual=optimum.residual, pull=optimum.pull)
+            break
+        again = solve(replace(problem, position_mm=position, held=problem.held | (share < 1.0)))
+        steps += again.n_iterations
+        optimum = again
+    return replace(best, problem=problem, n_iterations=steps)
+
+
+def _retreat(problem: Problem, optimum: Solution, admission: Admission, tolerated: np.ndarray) -> np.ndarray:
+    """(N,) how far each node may go towards the optimum, 0 to 1, for the tree to be admissible."""
+    share = np.ones(problem.n_nodes)
+    parent, step = problem.topology.parent, optimum.position_mm - problem.position_mm
+    while True:
+        tree = evaluate(problem.at(problem.position_mm + share[:, None] * step)).tree
+        bad = np.flatnonzero(admission.offending(tree) & ~tolerated)
+        if bad.size == 0:
+            return share
+        nodes = np.unique(np.concatenate((bad, parent[bad])))
+        nodes = nodes[problem.moves[nodes] & (share[nodes] > 0.0)]
+        if nodes.size == 0:  # they are where they were, but thicker, or the others are
+            nodes = np.flatnonzero(problem.moves & (share > 0.0))
+        share[nodes] *= 0.5
+        share[share < 0.5**_HALVINGS] = 0.0
+        if not (share[problem.moves] > 0.0).any():
+            return np.where(problem.moves, 0.0, 1.0)
