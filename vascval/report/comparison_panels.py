@@ -10,8 +10,9 @@ import pandas as pd
 
 from vascval.comparison import Comparison, Location
 from vascval.morphometry import Analysis
+from vascval.report.formats import effect
 from vascval.report.page import Picture
-from vascval.report.plots import handles, line, panel, plain_log, plain_text, whole_ticks
+from vascval.report.plots import from_zero, handles, line, panel, plain_log, plain_text, whole_ticks
 from vascval.report.style import MUTED, Series
 from vascval.report.subject import Side, Subject
 
@@ -57,7 +58,7 @@ def _cumulative(subject: Subject, folder: Path, name: str, title: str, unit: str
             axes.plot(x, 100.0 * y, **look)
             at = np.searchsorted(share, (0.25, 0.5, 0.75))
             axes.plot(data[np.minimum(at, data.size - 1)], (25, 50, 75), **{**line(side.series), "linestyle": "none"})
-        axes.set(xlabel=unit, ylabel="share of the values up to here (%)", xscale=scale, xlim=(low, high), ylim=(0, 101))
+        axes.set(xlabel=unit, ylabel="share of values up to here (%)", xscale=scale, xlim=(low, high), ylim=(-1, 102))
         if scale == "log":
             plain_log(axes.xaxis)
 
@@ -101,8 +102,8 @@ def _effects(rows: pd.DataFrame, side: Side, index: int, folder: Path) -> Pictur
         axes.imshow(grid.to_numpy(), cmap="PuOr_r", vmin=-1.0, vmax=1.0, aspect="auto")
         for (i, j), value in np.ndenumerate(grid.to_numpy()):
             if np.isfinite(value):
-                text = f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")
-                axes.text(j, i, text, ha="center", va="center", fontsize=7.5, color="white" if abs(value) > 0.7 else "black")
+                ink = "white" if abs(value) > 0.7 else "black"
+                axes.text(j, i, effect(value), ha="center", va="center", fontsize=7.5, color=ink)
         axes.set_yticks(range(len(grid)), [MEASURES[name][0] for name in grid.index])
         axes.set_xticks(range(grid.shape[1]), ["all" if g == 0 else f"{int(g)}" for g in grid.columns])
         axes.set_xlabel("generation")
@@ -141,7 +142,7 @@ def _matched(place: Location, side: Side, cast: Side, index: int, folder: Path) 
         for column, look in ways:
             axes.plot(rows["generation"], 100.0 * rows[column], **look)
         axes.axhline(100.0 * place.rule.threshold, color=MUTED, linewidth=0.8, zorder=0)
-        axes.set(xlabel="generation", ylabel="length matched (%)", ylim=(0, 102))
+        axes.set(xlabel="generation", ylabel="length matched (%)", ylim=(-3, 103))
         whole_ticks(axes.xaxis)
 
     alt = (
@@ -149,7 +150,8 @@ def _matched(place: Location, side: Side, cast: Side, index: int, folder: Path) 
         f"generation {place.matched_down_to_generation}."
     )
     legend = [Line2D([], [], **look) for _, look in ways]
-    return panel(folder, f"location-matched-{index}", f"Matched: {plain_text(side.label).strip()}", alt, draw, legend=legend)
+    title = f"Matched: {plain_text(side.label).strip()}"
+    return panel(folder, f"location-matched-{index}", title, alt, draw, legend=legend)
 
 
 def _distance(place: Location, side: Side, cast: Side, index: int, folder: Path) -> Picture:
@@ -166,12 +168,13 @@ def _distance(place: Location, side: Side, cast: Side, index: int, folder: Path)
             axes.plot(rows["generation"], rows[column], **look)
         axes.axhline(place.rule.tolerance_mm, color=MUTED, linewidth=0.8, zorder=0)
         axes.set(xlabel="generation", ylabel="mean distance (mm)")
-        axes.set_ylim(bottom=0)
+        from_zero(axes)
         whole_ticks(axes.xaxis)
 
     alt = f"Mean distance between the centrelines of like generation, cast and {side.label}, both ways."
     legend = [Line2D([], [], **look) for _, look in ways]
-    return panel(folder, f"location-distance-{index}", f"Distance: {plain_text(side.label).strip()}", alt, draw, legend=legend)
+    title = f"Distance: {plain_text(side.label).strip()}"
+    return panel(folder, f"location-distance-{index}", title, alt, draw, legend=legend)
 
 
 def territories(comparison: Comparison, trees: list[Side], folder: Path) -> list[Picture]:

@@ -9,9 +9,10 @@ import pandas as pd
 
 from vascval.comparison import Comparison, Location, Territories
 from vascval.report import comparison_panels as panels
-from vascval.report.formats import count, measure, p_value, percent
+from vascval.report.formats import count, effect, measure, p_value, percent
 from vascval.report.page import Cell, Figure, Section, Table, Text
 from vascval.report.subject import Side, Subject
+from vascval.report.tree_sections import two_rows
 
 _PUBLISHED = "The cast is a published table, which has no {}."
 
@@ -25,9 +26,9 @@ def distributions(subject: Subject, comparison: Comparison, figures: Path) -> Se
         "Cumulative distributions over all segments or junctions; markers at the quartiles. The outermost half percent "
         "may lie outside the frame."
     )
-    effect = (
-        "Cliff's delta: the probability that a value of the tree exceeds one of the cast, minus the converse. 0: none is "
-        f"the larger; +1 or {chr(0x2212)}1: all are. Left blank with fewer than {asked} values on a side."
+    deltas = (
+        "Cliff's delta: the probability that a value of the tree exceeds one of the cast, minus the converse. Orange: "
+        f"the tree's values are the larger; violet: the cast's. Left out with fewer than {asked} values on a side."
     )
     pictures = panels.effects(comparison, subject.trees, figures)
     return Section(
@@ -35,12 +36,12 @@ def distributions(subject: Subject, comparison: Comparison, figures: Path) -> Se
         title,
         [
             Figure(cumulative, panels.distributions(subject, figures)),
-            Figure(effect, pictures) if pictures else Text("There are too few values for effect sizes.", "empty"),
+            Figure(deltas, pictures) if pictures else Text("There are too few values for effect sizes.", "empty"),
             *(_distribution_table(comparison.distributions, k, side) for k, side in enumerate(subject.trees)),
             Text(
-                "The Wasserstein distance is in the unit of the measure and, beside it, in standard deviations of the "
-                "cast; p is that of the two-sided Mann-Whitney U test and is tiny for thousands of vessels however small "
-                "the difference: read the effect size.",
+                "The Wasserstein distance is in the unit of the measure and, beside it, in standard deviations of "
+                "the cast; p is that of the two-sided Mann-Whitney U test and is tiny for thousands of vessels "
+                "however small the difference: read the effect size.",
                 "note",
             ),
         ],
@@ -49,10 +50,13 @@ def distributions(subject: Subject, comparison: Comparison, figures: Path) -> Se
 
 def _distribution_table(frame: pd.DataFrame, index: int, side: Side) -> Table:
     rows = frame[(frame["tree"] == index) & frame["generation"].isna()].set_index("measure")
-    top = [Cell("", "head"), Cell("values", "group", 2), Cell("median", "group", 2), Cell("Wasserstein", "group", 2),
-           Cell("Mann-Whitney", "group", 2)]
-    second = [Cell("measure", "head"), *(Cell(name) for name in ("cast", "tree", "cast", "tree", "distance", "in SD",
-                                                                "effect size", "p"))]
+    columns = {
+        "values": ("cast", side.short),
+        "median": ("cast", side.short),
+        "Wasserstein": ("distance", "in SD"),
+        "Mann-Whitney": ("effect size", "p"),
+    }
+    head = two_rows("measure", [(label, [Cell(name) for name in names]) for label, names in columns.items()])
     body = []
     for name, (words, unit, _) in panels.MEASURES.items():
         if name in rows.index:
@@ -64,12 +68,12 @@ def _distribution_table(frame: pd.DataFrame, index: int, side: Side) -> Table:
                     *(Cell(count(row[key])) for key in ("n_cast", "n_tree")),
                     *(Cell(measure(row[key])) for key in ("median_cast", "median_tree", "wasserstein")),
                     Cell(measure(row["wasserstein_relative"])),
-                    Cell(measure(row["effect_size"], 2)),
+                    Cell(effect(row["effect_size"])),
                     Cell(p_value(row["p_value"])),
                 ]
             )
     caption = f"{side.label} against the cast, all generations together."
-    return Table(caption, [top, second], body, "tables/distributions.csv")
+    return Table(caption, head, body, "tables/distributions.csv")
 
 
 def location(subject: Subject, comparison: Comparison, figures: Path) -> Section:
@@ -79,10 +83,10 @@ def location(subject: Subject, comparison: Comparison, figures: Path) -> Section
     rule = comparison.location[0].rule
     words = (
         f"A point of a centreline is matched when the other tree's centreline of like generation (within "
-        f"{rule.generation_window}) lies within {measure(rule.tolerance_mm)} mm, or within the local radius where that is "
-        f"more. Points are at most {measure(rule.step_mm)} mm apart. A generation counts as matched from "
-        f"{percent(rule.threshold)} of its length on (line in the figure). The share matched by chance is what a cast laid "
-        "at random into the same tissue would show: only what exceeds it says anything."
+        f"{rule.generation_window}) lies within {measure(rule.tolerance_mm)} mm, or within the local radius where that "
+        f"is more. Points are at most {measure(rule.step_mm, 2)} mm apart. A generation counts as matched from "
+        f"{percent(rule.threshold)} of its length on (line in the figure). The share matched by chance is what a cast "
+        "laid at random into the same tissue would show: only what exceeds it says anything."
     )
     blocks: list[Any] = [Text(words)]
     blocks += [Text(_depth(place, side)) for place, side in zip(comparison.location, subject.trees)]
@@ -132,8 +136,8 @@ def territories(subject: Subject, comparison: Comparison, figures: Path) -> Sect
         Text(
             "Tissue in the part that the convex hulls of both trees' terminals have in common belongs to the nearest "
             "terminal, and so to the subtree of each first generation that feeds it. Subtrees are paired so that they "
-            "overlap the most; Dice is twice that overlap over both. Generation 1 agrees by construction where each tree "
-            "has one stem."
+            "overlap the most; Dice is twice that overlap over both. Generation 1 agrees by construction where each "
+            "tree has one stem."
         )
     ]
     pictures = panels.territories(comparison, subject.trees, figures)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vascval.report import comparison_sections, origin_sections, tree_sections
+from vascval.report import comparison_sections, order_sections, origin_sections, tree_sections
 from vascval.report.page import Section
 from vascval.report.subject import Subject
 from vascval.report.swatches import Swatch, swatch
-
-_ROLES = {"cast": "cast", "tree": "tree", "reference": "published table"}
 
 
 def title(subject: Subject) -> str:
@@ -28,11 +26,10 @@ def legend(subject: Subject) -> list[Swatch]:
     """What each colour, line and marker stands for; none where there is only one tree."""
     if subject.comparison is None:
         return []
-    return [swatch(side.series, _role(side.series.role, side.analysis is None)) for side in subject.sides]
-
-
-def _role(role: str, published: bool) -> str:
-    return "published table, for the cast" if role == "cast" and published else _ROLES[role]
+    return [
+        swatch(side.series, side.short if side.analysis is not None else f"{side.short}, published")
+        for side in subject.sides
+    ]
 
 
 def sections(subject: Subject, figures: Path) -> list[Section]:
@@ -42,8 +39,8 @@ def sections(subject: Subject, figures: Path) -> list[Section]:
         tree_sections.key_statistics(subject, figures),
         origin_sections.overlay(subject, figures),
         tree_sections.generations(subject),
-        tree_sections.orders(subject, figures),
-        tree_sections.horton(subject),
+        order_sections.orders(subject, figures),
+        order_sections.horton(subject),
         tree_sections.junctions(subject, figures),
     ]
     if subject.comparison is not None:

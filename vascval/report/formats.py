@@ -10,6 +10,7 @@ import pandas as pd
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"
 THIN = "\N{NARROW NO-BREAK SPACE}"
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def missing(value: Any) -> bool:
@@ -23,7 +24,7 @@ def count(value: Any) -> str:
 
 
 def measure(value: Any, digits: int = 3) -> str:
-    """A number to ``digits`` significant digits, never in powers of ten between 0.0001 and a million."""
+    """A number to ``digits`` significant digits, with a power of ten below 0.0001 and from a million on."""
     if missing(value):
         return NONE
     value = float(value)
@@ -32,14 +33,13 @@ def measure(value: Any, digits: int = 3) -> str:
     exponent = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
     if exponent < -4 or exponent >= 6:
         mantissa, power = f"{value:.{digits - 1}e}".split("e")
-        return _signed(f"{mantissa}\N{MULTIPLICATION SIGN}10^{int(power)}").replace(f"^-{abs(int(power))}",
-                                                                                   f"^{MINUS}{abs(int(power))}")
+        return f"{_signed(mantissa)}{THIN}\N{MULTIPLICATION SIGN}{THIN}10{str(int(power)).translate(_RAISED)}"
     text = f"{value:,.{max(digits - 1 - exponent, 0)}f}"
     return _signed(text.replace(",", THIN))
 
 
 def spread(mean: Any, sd: Any) -> str:
-    """Mean and standard deviation, to the digits of the smaller of the two."""
+    """A mean to three digits and its standard deviation, or error, to two."""
     if missing(mean) or missing(sd):
         return measure(mean)
     return f"{measure(mean)} ± {measure(sd, 2)}"
@@ -54,9 +54,11 @@ def percent(share: Any) -> str:
 
 
 def change(relative: Any) -> str:
-    """A relative difference in percent, always with its sign."""
+    """A relative difference in percent with its sign; from tenfold on the factor instead."""
     if missing(relative):
         return NONE
+    if relative >= 9.0:
+        return f"\N{MULTIPLICATION SIGN}{THIN}{measure(1.0 + float(relative), 2 if relative < 99 else 3)}"
     value = 100.0 * float(relative)
     text = f"{value:+,.0f}" if abs(value) >= 9.95 else f"{value:+.1f}"
     if float(text.replace(",", "")) == 0:
@@ -64,18 +66,16 @@ def change(relative: Any) -> str:
     return f"{_signed(text.replace(',', THIN))}{THIN}%"
 
 
-def difference(value: Any, digits: int = 2) -> str:
-    """A difference with its sign."""
-    if missing(value):
-        return NONE
-    return measure(value, digits) if value <= 0 else f"+{measure(value, digits)}"
-
-
 def p_value(value: Any) -> str:
     """A p value; what is below 0.001 is only said to be."""
     if missing(value):
         return NONE
     return "< 0.001" if value < 0.001 else f"{value:.3f}" if value < 0.1 else f"{value:.2f}"
+
+
+def effect(value: Any) -> str:
+    """An effect size between -1 and 1, always with its sign."""
+    return NONE if missing(value) else _signed(f"{value:+.2f}")
 
 
 def point(position: Any) -> str:

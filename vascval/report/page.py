@@ -55,12 +55,19 @@ def square(colour: str) -> str:
 
 @dataclass(frozen=True)
 class Figure:
-    """Pictures side by side under one caption; ``wide`` ones take the whole width."""
+    """Pictures side by side under one caption, in up to three columns or up to ``two``."""
 
     caption: str
     pictures: Sequence[Picture]
-    wide: bool = False
+    two: bool = False
     kind: str = "figure"
+
+    @property
+    def files(self) -> str:
+        """The names of its files, in short where they are many."""
+        names = [picture.name for picture in self.pictures]
+        shown = ", ".join(names) if len(names) <= 4 else f"{names[0].split('-')[0]}-*"
+        return f"figures/{shown} (svg, png)"
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vascval.morphometry import Analysis
 from vascval.report.page import Picture
-from vascval.report.plots import handles, line, panel, plain_log, plain_text, whole_ticks
+from vascval.report.plots import from_zero, handles, line, panel, plain_log, plain_text, whole_ticks
 from vascval.report.style import MUTED
 from vascval.report.subject import Side, Subject
 
@@ -37,7 +38,7 @@ def _by_generation(subject: Subject, folder: Path, column: str, title: str, unit
             plain_log(axes.yaxis)
         whole_ticks(axes.xaxis)
         if scale == "linear":
-            axes.set_ylim(0, 1.02 if column == "branching_ratio_mean" else None)
+            from_zero(axes)
 
     alt = f"{title} against generation. " + " ".join(_said(side, column) for side in shown)
     name = column.removesuffix("_mm").replace("_", "-")
@@ -55,11 +56,10 @@ def _curve(axes: Any, side: Side, column: str, shift: float) -> None:
     if sd != column and sd in rows:
         spread = rows[sd].to_numpy(float)
         ok = np.isfinite(spread)
-        low = np.minimum(spread[ok], y[ok])
-        axes.errorbar(
-            x[ok] + shift, y[ok], yerr=(low, spread[ok]), fmt="none", ecolor=side.series.colour, elinewidth=0.8,
-            capsize=1.5, alpha=0.55,
-        )
+        below = np.minimum(spread[ok], y[ok])
+        above = np.minimum(spread[ok], 1.0 - y[ok]) if column == "branching_ratio_mean" else spread[ok]
+        look = {"ecolor": side.series.colour, "elinewidth": 0.8, "capsize": 1.5, "alpha": 0.55}
+        axes.errorbar(x[ok] + shift, y[ok], yerr=(below, above), fmt="none", **look)
     axes.plot(x + shift * (sd != column), y, **line(side.series))
 
 
@@ -128,7 +128,7 @@ def _per_junction(shown: list[Side], folder: Path, column: str, title: str, unit
             rows = side.generations[side.generations["n_junctions"] > 0]
             axes.plot(rows["generation"], 100.0 * rows[column] / rows["n_junctions"], **line(side.series))
         axes.set(xlabel="generation that feeds the junction", ylabel=unit)
-        axes.set_ylim(bottom=0)
+        from_zero(axes)
         whole_ticks(axes.xaxis)
 
     alt = f"{title} per junction against generation. " + " ".join(
@@ -140,16 +140,16 @@ def _per_junction(shown: list[Side], folder: Path, column: str, title: str, unit
 
 def sensitivity(subject: Subject, folder: Path) -> list[Picture]:
     """How the count of monopodial branches moves with its thresholds: one panel per tree, all on one scale."""
-    tables = [(side, analysis.monopodial_sensitivity) for side, analysis in subject.measured]
-    return [_sensitivity(side, table, k, folder) for k, (side, table) in enumerate(tables)]
+    return [_sensitivity(side, analysis, k, folder) for k, (side, analysis) in enumerate(subject.measured)]
 
 
 _STRAIGHT = (("#9cc3de", "v", ":"), ("#3f86b5", "o", "-"), ("#123f5c", "^", "--"))
 
 
-def _sensitivity(side: Side, table: pd.DataFrame, index: int, folder: Path) -> Picture:
+def _sensitivity(side: Side, analysis: Analysis, index: int, folder: Path) -> Picture:
     from matplotlib.lines import Line2D
 
+    table, usual = analysis.monopodial_sensitivity, analysis.parameters["monopodial"]["ratio_max"]
     straight = sorted(table["straight_max_deg"].unique())
     looks = dict(zip(straight, _STRAIGHT))
 
@@ -159,9 +159,11 @@ def _sensitivity(side: Side, table: pd.DataFrame, index: int, folder: Path) -> P
             low, middle, high = by_ratio.min(), by_ratio.median(), by_ratio.max()
             axes.fill_between(low.index, low, high, color=colour, alpha=0.25, linewidth=0)
             axes.plot(middle.index, middle, color=colour, marker=marker, linestyle=dash)
-        axes.axvline(0.5, color=MUTED, linewidth=0.8, zorder=0)
+        axes.axvline(usual, color=MUTED, linewidth=0.8, zorder=0)
         axes.set(xlabel="largest radius relative to the sibling", ylabel="monopodial branches")
+        axes.set_xticks(sorted(table["ratio_max"].unique()))
         axes.set_ylim(0, max(1.0, 1.08 * table["n_monopodial"].max()))
+        whole_ticks(axes.yaxis)
 
     legend = [
         Line2D([], [], color=colour, marker=marker, linestyle=dash, label=f"sibling within {value:g}°")

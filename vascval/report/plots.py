@@ -12,7 +12,7 @@ from vascval.io.atomic import atomic_file
 from vascval.report.page import Picture
 from vascval.report.style import Series, rc
 
-SIZE_IN = (4.6, 3.3)
+SIZE_IN = (4.0, 3.0)
 _LONGEST = 30
 
 
@@ -41,7 +41,7 @@ def panel(
         draw(axes)
         if legend:
             widest = max(len(handle.get_label()) for handle in legend)
-            columns = max(1, min(len(legend), int(70 / (widest + 8))))
+            columns = max(1, min(len(legend), int(62 / (widest + 8))))
             figure.legend(handles=list(legend), loc="outside lower left", ncols=columns)
         svg = io.BytesIO()
         figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
@@ -77,6 +77,11 @@ def whole_ticks(axis: Any) -> None:
     from matplotlib.ticker import MaxNLocator
 
     axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+
+
+def from_zero(axes: Any) -> None:
+    """The y axis from zero on, with room for the markers that lie on it, where all values are above."""
+    axes.set_ylim(bottom=-0.03 * axes.get_ylim()[1])
 
 
 def plain_log(axis: Any) -> None:

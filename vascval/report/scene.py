@@ -11,7 +11,7 @@ import numpy as np
 from vascval.core.tree import Tree
 from vascval.report.style import Series
 
-MAX_TRIANGLES = 100_000
+MAX_TRIANGLES = 60_000
 MAX_PIECES = 60_000
 _MAX_RAW_TRIANGLES = 1_500_000
 
@@ -110,14 +110,14 @@ def _bounds(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _n_faces(mask: np.ndarray) -> int:
-    return sum(int(np.count_nonzero(mask.take(range(1, n), a) != mask.take(range(n - 1), a)))
-               for a, n in enumerate(mask.shape))
+    return sum(int(np.count_nonzero(np.diff(mask, axis=axis))) for axis in range(mask.ndim))
 
 
 def _coarser(mask: np.ndarray) -> np.ndarray:
     padded = np.pad(mask, [(0, n % 2) for n in mask.shape])
     z, y, x = (n // 2 for n in padded.shape)
-    return padded.reshape(z, 2, y, 2, x, 2).any(axis=(1, 3, 5))
+    coarse: Any = padded.reshape(z, 2, y, 2, x, 2).any(axis=(1, 3, 5))
+    return np.asarray(coarse)
 
 
 def bounds_mm(surface: Surface | None, layers: Sequence[Tubes]) -> tuple[np.ndarray, np.ndarray]:

@@ -107,7 +107,7 @@ def styled(cast: str | None, trees: Sequence[str], reference: str | None = None)
 
     Equal names are told apart by a number.
     """
-    wanted = [("cast", cast, CAST)] if cast is not None else []
+    wanted: list[tuple[str, str, Any]] = [("cast", cast, CAST)] if cast is not None else []
     wanted += [("tree", name, TREES[i % len(TREES)]) for i, name in enumerate(trees)]
     if reference is not None:
         wanted.append(("reference", reference, REFERENCE))

@@ -10,6 +10,7 @@ import pandas as pd
 
 from vascval.comparison import Comparison
 from vascval.imaging import Skeleton
+from vascval.io.documents import ReferenceTable
 from vascval.morphometry import Analysis
 from vascval.report.style import Series, styled
 
@@ -22,6 +23,7 @@ class Side:
     source: str
     generations: pd.DataFrame
     analysis: Analysis | None
+    short: str  #: what it is called where there is little room: cast, tree, tree 2, table
     citation: str = ""
 
     @property
@@ -61,14 +63,17 @@ def of_comparison(comparison: Comparison, skeleton: Skeleton | None, provenance:
         None if reference is None else reference.source,
     )
     items = [comparison.cast, *comparison.trees, *([] if reference is None else [reference])]
-    return Subject([_side(look, item) for look, item in zip(looks, items)], comparison, skeleton, provenance)
+    n = len(comparison.trees)
+    short = ["cast", *(["tree"] if n == 1 else [f"tree {k}" for k in range(1, n + 1)]), "table"]
+    sides = [_side(look, item, name) for look, item, name in zip(looks, items, short)]
+    return Subject(sides, comparison, skeleton, provenance)
 
 
 def of_analysis(analysis: Analysis, skeleton: Skeleton | None, provenance: Mapping[str, Any]) -> Subject:
-    return Subject([_side(styled(analysis.source, [])[0], analysis)], None, skeleton, provenance)
+    return Subject([_side(styled(analysis.source, [])[0], analysis, "tree")], None, skeleton, provenance)
 
 
-def _side(look: Series, item: Any) -> Side:
+def _side(look: Series, item: Analysis | ReferenceTable, short: str) -> Side:
     if isinstance(item, Analysis):
-        return Side(look, item.source, item.generations, item)
-    return Side(look, item.source, item.generations, None, item.citation)
+        return Side(look, item.source, item.generations, item, short)
+    return Side(look, item.source, item.generations, None, short, item.citation)

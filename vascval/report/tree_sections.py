@@ -1,8 +1,8 @@
-"""The sections that any report has: totals, generations, orders, Horton ratios, junctions."""
+"""The sections that any report has: totals, key statistics, generations, junctions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import pandas as pd
 
 from vascval.comparison import Comparison
 from vascval.report import panels
-from vascval.report.formats import NONE, change, count, measure, missing, percent, spread
+from vascval.report.formats import NONE, THIN, change, count, measure, missing, percent, spread
 from vascval.report.page import Cell, Figure, Section, Table, Text
 from vascval.report.subject import Side, Subject
 
@@ -57,7 +57,7 @@ def _headline(subject: Subject) -> list[str]:
         total = analysis.summary
         said.append(
             f"{side.label}: {count(total['n_terminals'])} terminals in {len(analysis.generations)} generations, "
-            f"{measure(total['total_length_mm'])} mm of vessels, {measure(total['volume_mm3'])} mm³; "
+            f"{measure(total['total_length_mm'])}{THIN}mm of vessels, {measure(total['volume_mm3'])}{THIN}mm³; "
             f"{count(total['n_trifurcations'])} trifurcations and {count(total['n_monopodial'])} monopodial branches "
             f"at {count(len(analysis.junctions))} junctions."
         )
@@ -79,11 +79,10 @@ def _place(comparison: Comparison, index: int, side: Side) -> str:
     hit = (rows["cast_matched_share"] * rows["cast_length_mm"]).sum() / length if length > 0 else float("nan")
     by_chance = (rows["cast_chance_share"] * rows["cast_length_mm"]).sum(min_count=1) / length if length > 0 else None
     down_to = place.matched_down_to_generation
-    depth = f"down to generation {down_to}" if down_to else "in no first generation"
+    depth = f"it is matched down to generation {down_to}" if down_to else "not even its first generation is matched"
     return (
-        f"Of the cast's length {percent(hit)} lies on {side.label} (within {measure(place.rule.tolerance_mm)} mm or the "
-        f"local radius, like generations), where a cast laid at random would show {percent(by_chance)}; it is matched "
-        f"{depth}."
+        f"Of the cast's length {percent(hit)} lies on {side.label} (within {measure(place.rule.tolerance_mm)}{THIN}mm "
+        f"or the local radius, like generations), where a cast laid at random would show {percent(by_chance)}; {depth}."
     )
 
 
@@ -100,7 +99,8 @@ def _totals(subject: Subject) -> Table:
         found = [None if analysis.coverage is None else analysis.coverage[key] for _, analysis in sides]
         if not all(missing(value) for value in found):
             body.append(_total_row(label, found, measure, paired))
-    caption = "Totals" + (", and the difference of each tree to the cast." if paired else ".")
+    beside = " side by side, and the difference of each tree to the cast: in percent, from tenfold on as a factor"
+    caption = f"Totals{beside if paired else ''}."
     return Table(caption, [head], body, "tables/totals.csv" if paired else "report.json")
 
 
@@ -120,11 +120,12 @@ def _relative(value: Any, base: Any) -> Any:
 def key_statistics(subject: Subject, figures: Path) -> Section:
     caption = (
         "Number of vessels (segments), mean radius, mean branching ratio and mean length by generation; thin bars are "
-        "one standard deviation. The ratio is that of the junctions which a generation feeds, so the last has none."
+        "one standard deviation, as far as values can lie. The ratio is that of the junctions which a generation "
+        "feeds, so that the last has none."
     )
     quoted = [Text(f"{side.label}: {side.citation}", "note") for side in subject.sides if side.citation]
     pictures = panels.key_statistics(subject, figures)
-    return Section("key-statistics", "Key statistics", [Figure(caption, pictures), *quoted])
+    return Section("key-statistics", "Key statistics", [Figure(caption, pictures, two=True), *quoted])
 
 
 _BY_GENERATION: tuple[tuple[str, str, str | None, Format], ...] = (
@@ -139,7 +140,7 @@ _BY_GENERATION: tuple[tuple[str, str, str | None, Format], ...] = (
 def generations(subject: Subject) -> Section:
     paired = bool(subject.trees)
     words = "Mean ± standard deviation of the segments" + (
-        ", and the difference of each tree to the cast in percent; NAME marks what a side does not have."
+        ", and the difference Δ of each tree to the cast; NAME marks what a side does not have."
         if paired
         else "."
     )
@@ -155,13 +156,14 @@ def _generation_table(
     subject: Subject, column: str, label: str, sd: str | None, form: Format
 ) -> tuple[str, list[Cell], dict[int, list[Cell]]]:
     """A group of columns: its name, the head below it, and the cells by generation."""
-    head, body = [], {generation: [] for generation in _all_generations(subject)}  # type: dict[int, list[Cell]]
+    head: list[Cell] = []
+    body: dict[int, list[Cell]] = {generation: [] for generation in _all_generations(subject)}
     base = _column(subject.first, column)
     for side in subject.sides:
         mean = _column(side, column)
         spreads = _column(side, sd) if sd else {}
         against = side.series.role == "tree"
-        head += [Cell(side.label)] + ([Cell("Δ", "delta")] if against else [])
+        head += [Cell(side.short)] + ([Cell("Δ", "delta")] if against else [])
         for generation, cells in body.items():
             value = mean.get(generation)
             if value is None and column.startswith("n_") and side.analysis is not None:
@@ -173,14 +175,21 @@ def _generation_table(
 
 
 def _joined(groups: list[tuple[str, list[Cell], dict[int, list[Cell]]]], subject: Subject) -> Table:
-    top = [Cell("", "head")] + [Cell(label, "group", len(head)) for label, head, _ in groups]
-    second = [Cell("generation", "head")] + [cell for _, head, _ in groups for cell in head]
+    head = two_rows("generation", [(label, cells) for label, cells, _ in groups])
     body = [
         [Cell(str(generation), "head"), *(cell for _, _, rows in groups for cell in rows[generation])]
         for generation in _all_generations(subject)
     ]
     files = "tables/generations.csv" + (", tables/differences.csv" if subject.comparison is not None else "")
-    return Table("Vessels by generation (root 1).", [top, second], body, files)
+    return Table("Vessels by generation (root 1).", head, body, files)
+
+
+def two_rows(first: str, groups: Sequence[tuple[str, Sequence[Cell]]]) -> list[list[Cell]]:
+    """The head of a table of groups of columns below the name of each; one row where every group has one column."""
+    if all(len(cells) == 1 for _, cells in groups):
+        return [[Cell(first, "head"), *(Cell(label) for label, _ in groups)]]
+    top = [Cell("", "head"), *(Cell(label, "group", len(cells)) for label, cells in groups)]
+    return [top, [Cell(first, "head"), *(cell for _, cells in groups for cell in cells)]]
 
 
 def _all_generations(subject: Subject) -> list[int]:
@@ -194,116 +203,20 @@ def _column(side: Side, column: str) -> dict[int, Any]:
     return {int(generation): value for generation, value in rows if not missing(value)}
 
 
-def orders(subject: Subject, figures: Path) -> Section:
-    blocks: list[Any] = []
-    for ordering, words in panels.ORDERINGS.items():
-        pictures = panels.orders(subject, ordering, figures)
-        if not pictures:
-            blocks.append(Text(f"There are no {words} orders.", "empty"))
-            continue
-        blocks.append(Figure(f"Elements by {words} order. On a logarithmic scale Horton's laws are straight.", pictures))
-        blocks.append(_order_table(subject, ordering, words))
-    return Section("orders", "By order", blocks)
-
-
-def _order_table(subject: Subject, ordering: str, words: str) -> Table:
-    measures = (
-        ("elements", lambda row: count(row["n_elements"])),
-        ("radius (mm)", lambda row: spread(row["element_radius_mean_mm"], row["element_radius_sd_mm"])),
-        ("length (mm)", lambda row: spread(row["element_length_mean_mm"], row["element_length_sd_mm"])),
-        ("segments per element", lambda row: measure(row["segments_per_element"])),
-    )
-    tables = {side.label: _indexed(analysis.orders, ordering) for side, analysis in subject.measured}
-    every = sorted({order for rows in tables.values() for order in rows})
-    top = [Cell("", "head")] + [Cell(label, "group", len(tables)) for label, _ in measures]
-    second = [Cell("order", "head")] + [Cell(name) for _ in measures for name in tables]
-    body = [
-        [
-            Cell(str(order), "head"),
-            *(
-                Cell(form(rows[order]) if order in rows else NONE)
-                for _, form in measures
-                for rows in tables.values()
-            ),
-        ]
-        for order in every
-    ]
-    caption = f"Elements by {words} order (terminals 1), mean ± standard deviation."
-    return Table(caption, [top, second], body, "tables/orders.csv")
-
-
-def _indexed(frame: pd.DataFrame, ordering: str) -> dict[int, dict[str, Any]]:
-    rows: list[dict[Any, Any]] = frame[frame["ordering"] == ordering].to_dict("records")
-    return {int(row["order"]): row for row in rows}
-
-
-def horton(subject: Subject) -> Section:
-    if not subject.measured:
-        return Section("horton", "Horton ratios and connectivity", [Text("There is no measured tree.", "empty")])
-    words = Text(
-        "A Horton ratio is the factor from order to order, by regression over the orders of the elements; it is fitted "
-        "over all orders and without the highest, whose single element is cut off where the tree begins."
-    )
-    matrices = [
-        _matrix(side.label, analysis.connectivity, ordering, words_)
-        for ordering, words_ in panels.ORDERINGS.items()
-        for side, analysis in subject.measured
-        if (analysis.connectivity["ordering"] == ordering).any()
-    ]
-    return Section("horton", "Horton ratios and connectivity", [words, _horton_table(subject), *matrices])
-
-
-def _horton_table(subject: Subject) -> Table:
-    rows: dict[tuple[str, str, bool], dict[str, str]] = {}
-    for side, analysis in subject.measured:
-        highest = analysis.horton.groupby("ordering")["order_max"].max()
-        for row in analysis.horton.to_dict("records"):
-            whole = row["order_max"] == highest[row["ordering"]]
-            text = f"{measure(row['ratio'])} ({row['order_min']} to {row['order_max']}; R² {measure(row['r_squared'], 2)})"
-            rows.setdefault((row["ordering"], row["quantity"], whole), {})[side.label] = text
-    names = [side.label for side, _ in subject.measured]
-    head = [Cell("order", "head"), Cell("ratio", "text"), Cell("fitted", "text"), *(Cell(name) for name in names)]
-    body = [
-        [
-            Cell(panels.ORDERINGS[ordering], "head"),
-            Cell(quantity, "text"),
-            Cell("all orders" if whole else "without the highest", "text"),
-            *(Cell(found.get(name, NONE) if not found.get(name, "").startswith(NONE) else NONE) for name in names),
-        ]
-        for (ordering, quantity, whole), found in rows.items()
-    ]
-    return Table("Horton ratios, with the orders used and the fit.", [head], body, "tables/horton.csv")
-
-
-def _matrix(label: str, frame: pd.DataFrame, ordering: str, words: str) -> Table:
-    chosen = frame[frame["ordering"] == ordering]
-    mean = chosen.pivot(index="order_child", columns="order_parent", values="mean")
-    error = chosen.pivot(index="order_child", columns="order_parent", values="se")
-    head = [Cell("m \\ n", "head"), *(Cell(str(n)) for n in mean.columns)]
-    body = [
-        [Cell(str(m), "head"), *(Cell(spread(mean.at[m, n], error.at[m, n]) if m <= n else "") for n in mean.columns)]
-        for m in mean.index
-    ]
-    caption = (
-        f"Connectivity of {label}, {words} orders: elements of order m (rows) that spring from one element of order n "
-        "(columns), mean ± standard error."
-    )
-    return Table(caption, [head], body, "tables/connectivity.csv")
-
-
 def junctions(subject: Subject, figures: Path) -> Section:
     title = "Trifurcations and monopodial branches"
     if not subject.measured:
         return Section("junctions", title, [Text("There is no measured tree.", "empty")])
     rule = subject.measured[0][1].parameters["monopodial"]
     usual = (
-        f"Monopodial: radius at most {rule['ratio_max']:g} of the largest sibling, leaving at {rule['angle_min_deg']:g} "
-        f"to {rule['angle_max_deg']:g}° while that sibling goes on within {rule['straight_max_deg']:g}°."
+        f"Monopodial: radius at most {rule['ratio_max']:g} of the largest sibling, leaving at "
+        f"{rule['angle_min_deg']:g} to {rule['angle_max_deg']:g}° while that sibling goes on within "
+        f"{rule['straight_max_deg']:g}°."
     )
     moves = (
-        "How the count of monopodial branches moves with its thresholds: with the ratio of radii along the axis, with the "
-        "angle within which the sibling goes on (lines), and with the angle at which the branch leaves (bands: 90 ± 20° "
-        "to 90 ± 40°, the line 90 ± 30°). The upright line marks the usual ratio; scales differ between trees."
+        "How the count of monopodial branches moves with its thresholds: with the ratio of radii along the axis, with "
+        "the angle within which the sibling goes on (lines), and with the angle at which the branch leaves (bands: "
+        "90 ± 20° to 90 ± 40°, the line 90 ± 30°). The upright line marks the ratio used; scales differ between trees."
     )
     blocks = [
         Text(usual),
@@ -319,8 +232,7 @@ def _junction_table(subject: Subject) -> Table:
     measures = ("n_junctions", "n_trifurcations", "n_monopodial")
     names = ("junctions", "trifurcations", "monopodial branches")
     tables = [_by_generation(analysis.generations) for _, analysis in subject.measured]
-    top = [Cell("", "head")] + [Cell(name, "group", len(tables)) for name in names]
-    second = [Cell("generation", "head")] + [Cell(side.label) for _ in names for side, _ in subject.measured]
+    head = two_rows("generation", [(name, [Cell(side.short) for side, _ in subject.measured]) for name in names])
     body = [
         [
             Cell(str(generation), "head"),
@@ -328,7 +240,7 @@ def _junction_table(subject: Subject) -> Table:
         ]
         for generation in sorted(set().union(*tables))
     ]
-    return Table("Junctions by the generation that feeds them.", [top, second], body, "tables/generations.csv")
+    return Table("Junctions by the generation that feeds them.", head, body, "tables/generations.csv")
 
 
 def _by_generation(frame: pd.DataFrame) -> dict[int, dict[Any, Any]]:

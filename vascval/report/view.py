@@ -93,7 +93,7 @@ def write_flat_picture(path: Path, layers: Sequence[Tubes], *, surface: Surface 
         near_last = np.argsort(start[:, 2] + end[:, 2], kind="stable")
         start, end, radius = start[near_last, :2], end[near_last, :2], layer.radius_mm[near_last]
         width = np.maximum(2.0 * radius * points_per_mm, 0.3)
-        lines = np.stack((start, end), axis=1)
+        lines = list(np.stack((start, end), axis=1))
         drawn = LineCollection(lines, linewidths=width, colors=layer.series.colour, capstyle="round")
         axes.add_collection(drawn, autolim=False)
     _finish(path, figure, axes, layers, surface)
@@ -111,7 +111,7 @@ def _plotter(layers: Sequence[Tubes], surface: Surface | None, seen: Viewpoint, 
     from vtkmodules.vtkCommonCore import vtkLogger
 
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # trying one renderer after the other warns each time
-    plotter = pyvista.Plotter(off_screen=off_screen, window_size=(_WIDTH, _HEIGHT))
+    plotter: Any = pyvista.Plotter(off_screen=off_screen, window_size=[_WIDTH, _HEIGHT])
     plotter.set_background("white")
     plotter.enable_anti_aliasing("ssaa")
     for layer in layers:
