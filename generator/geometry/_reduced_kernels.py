@@ -11,16 +11,20 @@ import numpy as np
 
 from vascval.core.jit import njit
 
+TINY_MM = 1e-12
+
 
 @njit
-def lengths(parent, position, eps, length):
-    """Smoothed lengths ``sqrt(|d|^2 + eps^2)``."""
+def lengths(parent, position, eps, chord, length):
+    """True lengths ``|d|`` and smoothed ones ``sqrt(|d|^2 + eps^2)``."""
     for i in range(1, parent.size):
         p = parent[i]
         dx = position[i, 0] - position[p, 0]
         dy = position[i, 1] - position[p, 1]
         dz = position[i, 2] - position[p, 2]
-        length[i] = math.sqrt(dx * dx + dy * dy + dz * dz + eps * eps)
+        square = dx * dx + dy * dy + dz * dz
+        chord[i] = math.sqrt(square)
+        length[i] = math.sqrt(square + eps * eps)
 
 
 @njit
@@ -87,8 +91,8 @@ def adjoint(parent, length, n, gamma, factor, free, rho, q, total, push, lift, b
 
 
 @njit
-def pull(parent, position, moves, length, slope, gradient):
-    """Derivatives by the positions from those by the (smoothed) lengths; 0 for nodes that stay."""
+def pull(parent, position, moves, chord, length, slope, hold, gradient):
+    """Derivatives by the positions from those by the lengths, ``slope`` by the smoothed, ``-hold`` by the true ones."""
     size = parent.size
     for i in range(size):
         gradient[i, 0] = 0.0
@@ -97,6 +101,8 @@ def pull(parent, position, moves, length, slope, gradient):
     for i in range(1, size):
         p = parent[i]
         c = slope[i] / length[i]
+        if hold[i] > 0.0:
+            c -= hold[i] / max(chord[i], TINY_MM)
         for k in range(3):
             f = c * (position[i, k] - position[p, k])
             gradient[i, k] += f
@@ -109,13 +115,14 @@ def pull(parent, position, moves, length, slope, gradient):
 
 
 @njit
-def cost(length, radius, free, shortest, pull, bound, push, lift, stiff):
-    """Volume of the free segments plus the augmented Lagrangian of ``l >= shortest``; derivatives by radii and lengths.
+def cost(length, chord, radius, free, shortest, pull, bound, push, lift, hold, stiff):
+    """Volume of the free segments plus the augmented Lagrangian of ``|d| >= shortest``.
 
     A bound with multiplier ``m = pull_i`` and stiffness ``k = bound_i`` adds ``(t^2 - m^2) / (2 k)`` with
-    ``t = max(0, m + k (shortest - l))``; where ``k`` is 0 there is none.
+    ``t = max(0, m + k (shortest - |d|))``; where ``k`` is 0 there is none.
 
-    :param push, lift, stiff: (N,) out: derivatives by ``log r`` and by ``l``; curvature that the bound adds.
+    :param push, lift: (N,) out: derivatives of the volume by ``log r`` and by ``l``.
+    :param hold, stiff: (N,) out: ``t``, the force of the bound, and the curvature that it adds.
     """
     total = 0.0
     for i in range(1, length.size):
@@ -124,12 +131,11 @@ def cost(length, radius, free, shortest, pull, bound, push, lift, stiff):
         lift[i] = math.pi * radius[i] * radius[i]
         push[i] = 2.0 * lift[i] * length[i]
         total += lift[i] * length[i]
-        stiff[i] = 0.0
+        hold[i], stiff[i] = 0.0, 0.0
         if bound[i] > 0.0:
-            t = max(0.0, pull[i] + bound[i] * (shortest - length[i]))
-            total += (t * t - pull[i] * pull[i]) / (2.0 * bound[i])
-            lift[i] -= t
-            if t > 0.0:
+            hold[i] = max(0.0, pull[i] + bound[i] * (shortest - chord[i]))
+            total += (hold[i] * hold[i] - pull[i] * pull[i]) / (2.0 * bound[i])
+            if hold[i] > 0.0:
                 stiff[i] = bound[i]
     return total
 
@@ -159,14 +165,14 @@ def dot(a, b):
 
 
 @njit
-def solve_laplacian(parent, position, moves, length, weight, stiff, bend, rhs, diagonal, out):
+def solve_laplacian(parent, position, moves, chord, length, weight, stiff, bend, rhs, block, diagonal, out):
     """``out`` with ``H out = rhs`` at the nodes that move, 0 elsewhere; ``H`` is a tree Laplacian of 3 x 3 blocks.
 
-    Segment ``i`` adds ``w_i / l_i (I - bend d d^T / l_i^2) + stiff_i d d^T / l_i^2``: with ``bend`` 0 the majoriser of
+    Segment ``i`` adds ``w_i / l_i (I - bend d d^T / l_i^2) + stiff_i d d^T / |d|^2``: with ``bend`` 0 the majoriser of
     the weighted lengths, with 1 their Hessian at fixed weights; ``stiff`` is the curvature along the segment that a
     bound adds. Eliminating leaf to root makes no fill-in.
 
-    :param diagonal: (N, 6) scratch: blocks as xx, xy, xz, yy, yz, zz.
+    :param block, diagonal: (N, 6) scratch: 3 x 3 blocks as xx, xy, xz, yy, yz, zz.
     """
     size = parent.size
     for i in range(size):
@@ -174,28 +180,27 @@ def solve_laplacian(parent, position, moves, length, weight, stiff, bend, rhs, d
             diagonal[i, k] = 0.0
         for k in range(3):
             out[i, k] = rhs[i, k]
-    block = np.empty(6)
-    inverse = np.empty(6)
     for i in range(1, size):
-        segment_block(parent, position, length, weight, stiff, bend, i, block)
-        for k in range(6):
-            diagonal[i, k] += block[k]
-            diagonal[parent[i], k] += block[k]
+        segment_block(parent, position, chord, length, weight, stiff, bend, i, block[i])
     for i in range(size - 1, 0, -1):
         p = parent[i]
-        if not (moves[i] and moves[p]):
+        c = block[i]
+        for k in range(6):
+            diagonal[i, k] += c[k]
+            diagonal[p, k] += c[k]
+        if not moves[i]:
             continue
-        segment_block(parent, position, length, weight, stiff, bend, i, block)
-        invert(diagonal[i], inverse)
-        # C D^-1 first, times C and times the right-hand side
-        m00, m01, m02, m10, m11, m12, m20, m21, m22 = product(block, inverse)
-        b0, b1, b2, b3, b4, b5 = block[0], block[1], block[2], block[3], block[4], block[5]
-        diagonal[p, 0] -= m00 * b0 + m01 * b1 + m02 * b2
-        diagonal[p, 1] -= m00 * b1 + m01 * b3 + m02 * b4
-        diagonal[p, 2] -= m00 * b2 + m01 * b4 + m02 * b5
-        diagonal[p, 3] -= m10 * b1 + m11 * b3 + m12 * b4
-        diagonal[p, 4] -= m10 * b2 + m11 * b4 + m12 * b5
-        diagonal[p, 5] -= m20 * b2 + m21 * b4 + m22 * b5
+        invert(diagonal[i])
+        if not moves[p]:
+            continue
+        # the parent's block loses C D^-1 C, its right-hand side gains C D^-1 b
+        m00, m01, m02, m10, m11, m12, m20, m21, m22 = product(c, diagonal[i])
+        diagonal[p, 0] -= m00 * c[0] + m01 * c[1] + m02 * c[2]
+        diagonal[p, 1] -= m00 * c[1] + m01 * c[3] + m02 * c[4]
+        diagonal[p, 2] -= m00 * c[2] + m01 * c[4] + m02 * c[5]
+        diagonal[p, 3] -= m10 * c[1] + m11 * c[3] + m12 * c[4]
+        diagonal[p, 4] -= m10 * c[2] + m11 * c[4] + m12 * c[5]
+        diagonal[p, 5] -= m20 * c[2] + m21 * c[4] + m22 * c[5]
         x, y, z = out[i, 0], out[i, 1], out[i, 2]
         out[p, 0] += m00 * x + m01 * y + m02 * z
         out[p, 1] += m10 * x + m11 * y + m12 * z
@@ -209,22 +214,24 @@ def solve_laplacian(parent, position, moves, length, weight, stiff, bend, rhs, d
         p = parent[i]
         x, y, z = out[i, 0], out[i, 1], out[i, 2]
         if moves[p]:
-            segment_block(parent, position, length, weight, stiff, bend, i, block)
-            x += block[0] * out[p, 0] + block[1] * out[p, 1] + block[2] * out[p, 2]
-            y += block[1] * out[p, 0] + block[3] * out[p, 1] + block[4] * out[p, 2]
-            z += block[2] * out[p, 0] + block[4] * out[p, 1] + block[5] * out[p, 2]
-        invert(diagonal[i], inverse)
-        out[i, 0] = inverse[0] * x + inverse[1] * y + inverse[2] * z
-        out[i, 1] = inverse[1] * x + inverse[3] * y + inverse[4] * z
-        out[i, 2] = inverse[2] * x + inverse[4] * y + inverse[5] * z
+            c = block[i]
+            x += c[0] * out[p, 0] + c[1] * out[p, 1] + c[2] * out[p, 2]
+            y += c[1] * out[p, 0] + c[3] * out[p, 1] + c[4] * out[p, 2]
+            z += c[2] * out[p, 0] + c[4] * out[p, 1] + c[5] * out[p, 2]
+        d = diagonal[i]
+        out[i, 0] = d[0] * x + d[1] * y + d[2] * z
+        out[i, 1] = d[1] * x + d[3] * y + d[4] * z
+        out[i, 2] = d[2] * x + d[4] * y + d[5] * z
 
 
 @njit
-def segment_block(parent, position, length, weight, stiff, bend, i, block):
+def segment_block(parent, position, chord, length, weight, stiff, bend, i, block):
     """What segment ``i`` adds to the Laplacian; a weight that is not positive counts as a small one."""
     p = parent[i]
     c = max(weight[i], 1e-9) / length[i]
-    b = (c * bend - stiff[i]) / (length[i] * length[i])
+    b = c * bend / (length[i] * length[i])
+    if stiff[i] > 0.0:
+        b -= stiff[i] / max(chord[i], TINY_MM) ** 2
     x, y, z = position[i, 0] - position[p, 0], position[i, 1] - position[p, 1], position[i, 2] - position[p, 2]
     block[0] = c - b * x * x
     block[1] = -b * x * y
@@ -235,18 +242,17 @@ def segment_block(parent, position, length, weight, stiff, bend, i, block):
 
 
 @njit
-def invert(a, out):
-    """Inverse of a symmetric 3 x 3 matrix (xx, xy, xz, yy, yz, zz)."""
+def invert(a):
+    """Inverse, in place, of a symmetric 3 x 3 matrix (xx, xy, xz, yy, yz, zz)."""
     c0 = a[3] * a[5] - a[4] * a[4]
     c1 = a[2] * a[4] - a[1] * a[5]
     c2 = a[1] * a[4] - a[2] * a[3]
     scale = 1.0 / (a[0] * c0 + a[1] * c1 + a[2] * c2)
-    out[0] = c0 * scale
-    out[1] = c1 * scale
-    out[2] = c2 * scale
-    out[3] = (a[0] * a[5] - a[2] * a[2]) * scale
-    out[4] = (a[1] * a[2] - a[0] * a[4]) * scale
-    out[5] = (a[0] * a[3] - a[1] * a[1]) * scale
+    c3 = a[0] * a[5] - a[2] * a[2]
+    c4 = a[1] * a[2] - a[0] * a[4]
+    c5 = a[0] * a[3] - a[1] * a[1]
+    a[0], a[1], a[2] = c0 * scale, c1 * scale, c2 * scale
+    a[3], a[4], a[5] = c3 * scale, c4 * scale, c5 * scale
 
 
 @njit

@@ -84,7 +84,8 @@ def admitted(
         if (share == 1.0).all():
             best = replace(found, residual=optimum.residual, pull=optimum.pull)
             break
-        again = solve(replace(problem, position_mm=position, held=problem.held | (share < 1.0)))
+        held = problem.held | (share < 1.0)
+        again = solve(replace(problem, position_mm=position, held=held, pull=optimum.pull))
         steps += again.n_iterations
         optimum = again
     return replace(best, problem=problem, n_iterations=steps)

@@ -48,7 +48,7 @@ def contracted(solution: Solution, keep: np.ndarray | None = None) -> tuple[Prob
     number = np.cumsum(~removed) - 1
     smaller = Problem(
         topology, solution.position_mm[stay], problem.perfusion, problem.physics, problem.fixed_radius_mm[stay],
-        problem.held[stay],
+        problem.held[stay], solution.pull[stay],
     )  # fmt: skip
     return smaller, number[kernels.heirs(problem.topology.parent, removed)]
 
@@ -66,7 +66,6 @@ def split_gains(solution: Solution) -> list[tuple[int, tuple[int, ...], float, f
     problem = solution.problem
     model = Model(problem.at(solution.position_mm).at_given_pressure())
     model.cost(solution.position_mm)
-    model.lift -= solution.pull
     model.gradient(solution.position_mm)
     parent, length = problem.topology.parent, np.maximum(model.length, 1e-300)
     force = model.slope[:, None] / length[:, None] * (solution.position_mm - solution.position_mm[parent])
@@ -131,7 +130,9 @@ def split(solution: Solution) -> Problem | None:
     rank[order] = np.arange(order.size)
     radius = np.concatenate((problem.fixed_radius_mm, np.full(len(splits), np.nan)))
     held = np.concatenate((problem.held, np.zeros(len(splits), bool)))
+    held_by = np.concatenate((solution.pull, np.zeros(len(splits))))
     topology = Topology(np.concatenate(([-1], rank[parent[order[1:]]])).astype(np.int32))
     return replace(
-        problem, topology=topology, position_mm=new_position[order], fixed_radius_mm=radius[order], held=held[order]
-    )
+        problem, topology=topology, position_mm=new_position[order], fixed_radius_mm=radius[order], held=held[order],
+        pull=held_by[order],
+    )  # fmt: skip

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -16,7 +18,13 @@ from vascval.core.errors import ComputationError
 
 _CONTRACTIONS = 50
 _SPLITS = 3
-_WARM = ReducedOptions(smoothing=(0.015, 0.001))
+_COLD = ReducedOptions()
+_ROUGH_COLD = ReducedOptions(smoothing=_COLD.smoothing[:-2], tolerance=_COLD.rough, violation=_COLD.rough)
+_ROUGH = ReducedOptions(smoothing=(0.015,), tolerance=_COLD.rough, violation=_COLD.rough)
+_CLOSE = ReducedOptions(smoothing=(0.005,), tolerance=1e-2, violation=1e-2)
+_FINE = ReducedOptions(smoothing=(0.001,))
+_WORTH = 1e-4
+"""Smallest relative gain for which a round of splitting is kept."""
 Solver = Literal["reduced", "ipopt"]
 
 
@@ -36,37 +44,43 @@ def optimise(
     :raises ComputationError: when a solver fails, or the tree is not admissible at the start.
     """
     admission = admission or Admission()
-    solution = admitted(problem, admission, _solve(solver, warm=False))
     if not contract:
-        return solution
-    solution = _fixed_point(solution, solver, admission)
+        return admitted(problem, admission, _solver(solver, _COLD))
+    rough, close, fine = (_solver(solver, options) for options in (_ROUGH, _CLOSE, _FINE))
+    solution = _contract(admitted(problem, admission, _solver(solver, _ROUGH_COLD)), rough, admission, 2)
     for _ in range(_SPLITS if splitting else 0):
         trial = split(solution)
-        if trial is None or admission.offending(evaluate(trial).tree).any():
+        if trial is None or (not admission.always and admission.offending(evaluate(trial).tree).any()):
             break
-        better = _fixed_point(admitted(trial, admission, _solve(solver, warm=True)), solver, admission)
-        if not better.cost_mm3 < solution.cost_mm3 * (1.0 - 1e-7):
+        better = _contract(admitted(trial, admission, rough), rough, admission, 1)
+        if not better.cost_mm3 < solution.cost_mm3 * (1.0 - _WORTH):
             break
         solution = better
+    for solve in (close, fine):
+        solution = admitted(replace(solution.problem, position_mm=solution.position_mm, pull=solution.pull), admission, solve)
+        solution = _contract(solution, solve, admission, _CONTRACTIONS)
+    if _admissible_contraction(solution, admission) is not None:
+        raise ComputationError(
+            f"segments are still degenerate after {_CONTRACTIONS} contractions of the geometry; check the tree for "
+            "clusters of terminals that nearly coincide"
+        )
     return solution
 
 
-def _solve(solver: Solver, *, warm: bool) -> Callable[[Problem], Solution]:
-    if solver == "ipopt":
-        return solve_full
-    return lambda problem: solve_reduced(problem, _WARM if warm else None)
+def _solver(solver: Solver, options: ReducedOptions) -> Callable[[Problem], Solution]:
+    return solve_full if solver == "ipopt" else partial(solve_reduced, options=options)
 
 
-def _fixed_point(solution: Solution, solver: Solver, admission: Admission) -> Solution:
-    for _ in range(_CONTRACTIONS):
+def _contract(
+    solution: Solution, solve: Callable[[Problem], Solution], admission: Admission, times: int
+) -> Solution:
+    """Contract what is degenerate and optimise again, until nothing is, but at most so many times."""
+    for _ in range(times):
         smaller = _admissible_contraction(solution, admission)
         if smaller is None:
-            return solution
-        solution = admitted(smaller, admission, _solve(solver, warm=True))
-    raise ComputationError(
-        f"segments still degenerate after {_CONTRACTIONS} contractions of the geometry; check the tree for clusters of "
-        "terminals that nearly coincide"
-    )
+            break
+        solution = admitted(smaller, admission, solve)
+    return solution
 
 
 def _admissible_contraction(solution: Solution, admission: Admission) -> Problem | None:

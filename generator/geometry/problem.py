@@ -66,7 +66,9 @@ class Problem:
 
     * ``position_mm`` (N, 3): where the search begins, and where the nodes that stay are;
     * ``fixed_radius_mm`` (N,): the radii of the root tree, NaN elsewhere; ``None``: no root tree;
-    * ``held`` (N,) bool: further nodes that stay where they are; ``None``: none.
+    * ``held`` (N,) bool: further nodes that stay where they are; ``None``: none;
+    * ``pull`` (N,): a first guess of the forces, in mm^2, with which the lower bound on lengths holds segments;
+      ``None``: zeros.
 
     :raises InputError: when shapes or values make no sense, or the root tree is not connected to the root.
     :raises ComputationError: when the root tree uses up the pressure.
@@ -78,6 +80,7 @@ class Problem:
     physics: Physics = Physics()
     fixed_radius_mm: np.ndarray = None  # type: ignore[assignment]
     held: np.ndarray = None  # type: ignore[assignment]
+    pull: np.ndarray = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         n = self.topology.n_nodes
@@ -89,14 +92,17 @@ class Problem:
         _refuse(~np.isfinite(position).all(axis=1), "nodes have a position that is not finite", "node")
         radius = np.full(n, np.nan) if self.fixed_radius_mm is None else np.array(self.fixed_radius_mm, np.float64)
         held = np.zeros(n, bool) if self.held is None else np.array(self.held, bool)
-        if radius.shape != (n,) or held.shape != (n,):
-            raise InputError(f"fixed_radius_mm and held have shapes {radius.shape} and {held.shape}; ({n},) is needed")
+        pull = np.zeros(n) if self.pull is None else np.array(self.pull, np.float64)
+        if radius.shape != (n,) or held.shape != (n,) or pull.shape != (n,):
+            raise InputError(
+                f"fixed_radius_mm, held and pull have shapes {radius.shape}, {held.shape} and {pull.shape}; ({n},) is needed"
+            )
         radius[0] = np.nan
         _refuse(radius <= 0.0, "fixed radii are not positive", "segment")
         fixed = ~np.isnan(radius)
         loose = fixed & ~(fixed | (np.arange(n) == 0))[self.topology.parent]
         _refuse(loose, "fixed segments spring from a free one", "segment")
-        for name, values in (("position_mm", position), ("fixed_radius_mm", radius), ("held", held)):
+        for name, values in (("position_mm", position), ("fixed_radius_mm", radius), ("held", held), ("pull", pull)):
             values.setflags(write=False)
             object.__setattr__(self, name, values)
         _ = self.stem_loss_pa

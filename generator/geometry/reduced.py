@@ -57,6 +57,9 @@ def solve_reduced(problem: Problem, options: ReducedOptions | None = None) -> So
     scale = float(problem.lengths(position)[problem.free].mean())
     shortest = problem.physics.l_min_mm
     steps = 0
+    model.eps = options.smoothing[0] * scale
+    model.cost(position)
+    model.gradient(position)
     for factor in options.smoothing[:-1]:
         model.eps = factor * scale
         model.stiffen()
@@ -64,8 +67,6 @@ def solve_reduced(problem: Problem, options: ReducedOptions | None = None) -> So
         position, steps = found.position, steps + found.steps
         model.update_bound()
     model.eps = options.smoothing[-1] * scale
-    if shortest > 0.0:
-        model.eps = min(model.eps, 1e-3 * shortest)
     last = np.inf
     for _ in range(40):
         model.stiffen()
@@ -145,22 +146,23 @@ class Model:
         self.constant_cp = problem.perfusion.viscosity_pa_s / PA_S_PER_CP
         self.drop_pa = problem.perfusion.pressure_drop_pa
         self.stem = np.zeros(n)
-        self.length, self.radius, self.rho, self.q = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+        self.chord, self.length, self.radius = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.rho, self.q = np.zeros(n), np.zeros(n)
         self.total, self.below, self.slope, self.stretch = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-        self.push, self.lift, self.stiff = np.zeros(n), np.zeros(n), np.zeros(n)
-        self.pull, self.bound = np.zeros(n), np.zeros(n)
+        self.push, self.lift, self.hold, self.stiff = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+        self.pull, self.bound = np.array(problem.pull), np.zeros(n)
         self.factor, self.bend, self.feedback = np.ones(n), np.zeros(n), np.zeros(n)
-        self._scratch, self._blocks = np.zeros(n), np.zeros((n, 6))
+        self._scratch, self._blocks = np.zeros(n), (np.zeros((n, 6)), np.zeros((n, 6)))
 
     def cost(self, position: np.ndarray) -> float:
         """Objective in mm^3, with what the bounds add; ``inf`` where the radii are not defined."""
-        kernels.lengths(self.parent, position, self.eps, self.length)
+        kernels.lengths(self.parent, position, self.eps, self.chord, self.length)
         self._find_radii()
         if not np.isfinite(self.radius).all():
             return np.inf
         total = kernels.cost(
-            self.length, self.radius, self.problem.free, self.physics.l_min_mm, self.pull, self.bound, self.push,
-            self.lift, self.stiff,
+            self.length, self.chord, self.radius, self.problem.free, self.physics.l_min_mm, self.pull, self.bound,
+            self.push, self.lift, self.hold, self.stiff,
         )  # fmt: skip
         return total + self._power_mm3()
 
@@ -247,29 +249,26 @@ class Model:
                 f"the adjoint of viscosity did not settle in {_SWEEPS} sweeps; use constant viscosity"
             )
         gradient = np.empty((self.problem.n_nodes, 3))
-        kernels.pull(self.parent, position, self.problem.moves, self.length, self.slope, gradient)
+        kernels.pull(
+            self.parent, position, self.problem.moves, self.chord, self.length, self.slope, self.hold, gradient
+        )
         return gradient
 
-    @property
-    def weight(self) -> np.ndarray:
-        """(N,) derivative of the objective by the lengths, without the force of the bound on the length."""
-        return self.slope + np.where(self.problem.free, np.pi * self.radius**2 - self.lift, 0.0)
-
     def residual(self, gradient: np.ndarray) -> float:
-        return kernels.imbalance(self.parent, self.problem.moves, self.weight, gradient, self._scratch)
+        return kernels.imbalance(self.parent, self.problem.moves, self.slope, gradient, self._scratch)
 
     def step(self, position: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         out = np.empty_like(gradient)
         kernels.solve_laplacian(
-            self.parent, position, self.problem.moves, self.length, self.weight, self.stiff, _BEND, gradient,
-            self._blocks, out,
+            self.parent, position, self.problem.moves, self.chord, self.length, self.slope, self.stiff, _BEND, gradient,
+            *self._blocks, out,
         )  # fmt: skip
         return out
 
     def stiffen(self) -> None:
         """Stiffness of the bound in proportion to the force that presses on it."""
         if self.physics.l_min_mm > 0.0:
-            pressing = np.maximum(self.weight, 1e-3 * self.weight.max() + 1e-12)
+            pressing = np.maximum(self.slope, 1e-3 * self.slope.max() + 1e-12)
             stiff = np.maximum(self.stiffening * pressing / self.physics.l_min_mm, self.bound)
             self.bound = np.where(self.problem.bounded, stiff, 0.0)
 
@@ -278,15 +277,15 @@ class Model:
         limit = self.physics.l_min_mm
         if limit == 0.0:
             return 0.0, ""
-        gap = np.where(self.problem.bounded, limit - self.length, 0.0)
+        gap = np.where(self.problem.bounded, limit - self.chord, 0.0)
         self.pull = np.maximum(0.0, self.pull + self.bound * gap)
         i = int(gap.argmax())
-        return max(0.0, float(gap[i]) / limit), f"segment {i} has length {self.length[i]:.4g} mm"
+        return max(0.0, float(gap[i]) / limit), f"segment {i} has length {self.chord[i]:.4g} mm"
 
     def tree(self, position: np.ndarray) -> Tree:
         """The tree at these positions, with exact lengths, radii, flows and pressures."""
         self.eps = 0.0
-        kernels.lengths(self.parent, position, 0.0, self.length)
+        kernels.lengths(self.parent, position, 0.0, self.chord, self.length)
         self._find_radii()
         return tree_of(self.problem, position, self.radius, self.factor, self.drop_pa)
 
@@ -331,7 +330,7 @@ def evaluate(
     pull = np.zeros(problem.n_nodes) if pull is None else pull
     position = np.array(problem.position_mm)
     model.cost(position)
-    model.lift -= pull
+    model.hold[:] = pull
     residual = model.residual(model.gradient(position))
     tree = model.tree(position)
     short = problem.physics.l_min_mm - tree.length_mm[problem.bounded]
