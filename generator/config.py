@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from generator.geometry.problem import Physics
 from generator.growth.growth import GrowthOptions
 from generator.haemodynamics import Perfusion
 from vascval.core.errors import InputError
@@ -80,6 +81,28 @@ class GrowthConfig(_Model):
     avoid_intersections: bool = Field(default=False, description="vessels that share no node do not overlap")
 
 
+class GeometryConfig(_Model):
+    """How the geometry is optimised, see :mod:`generator.geometry`."""
+
+    solver: Literal["reduced", "ipopt"] = Field(default="reduced", description="reduced space, or full space by Ipopt")
+    during_growth: bool = Field(default=True, description="while growing too, not just at the end")
+    every: int = Field(default=20, ge=1, description="terminals between two optimisations, up to 1,000 terminals")
+    every_at_most: int = Field(default=500, ge=1, description="and beyond, where it grows in proportion to them")
+    contract: bool = Field(default=True, description="contract segments shorter than their diameter in the end")
+    split: bool = Field(default=True, description="split junctions again where that lowers the volume")
+    l_min_mm: float = Field(default=0.2, ge=0.0, description="shortest length of a segment")
+    r_min_mm: float = Field(default=0.0, ge=0.0, description="smallest radius of a segment")
+    objective: Literal["volume", "volume+power"] = Field(
+        default="volume", description="power that moves the blood counts too, and the root pressure is free"
+    )
+    metabolic_w_m3: float = Field(default=648.0, gt=0.0, description="power that a volume of blood costs to keep")
+    gamma_by_generation: tuple[float, ...] = Field(default=(), description="instead of gamma, from generation 1 on")
+
+    def interval(self, n_terminals: int) -> int:
+        """Terminals between two optimisations of a tree of that size."""
+        return max(1, min(self.every_at_most, self.every * max(1000, n_terminals) // 1000))
+
+
 class Config(_Model):
     """Everything that decides a tree."""
 
@@ -104,13 +127,14 @@ class Config(_Model):
     domain: DomainConfig
     perfusion: PerfusionConfig
     growth: GrowthConfig = GrowthConfig()
+    geometry: GeometryConfig = GeometryConfig()
 
     @model_validator(mode="after")
     def _available(self) -> Config:
-        if self.method != "cco":
-            raise ValueError(f"method={self.method} is not available in this version; use method=cco")
-        if self.viscosity != "constant":
-            raise ValueError(f"viscosity={self.viscosity} is not available in this version; use viscosity=constant")
+        if self.method == "full":
+            raise ValueError("method=full is not available in this version; use method=cco or method=geometry")
+        if self.viscosity != "constant" and self.method == "cco":
+            raise ValueError(f"growth alone knows constant viscosity; viscosity={self.viscosity} needs method=geometry")
         if self.root_tree is not None and self.root_mm is not None:
             raise ValueError("root_mm and root_tree exclude each other; give one")
         return self
@@ -124,6 +148,18 @@ class Config(_Model):
             given.flow_ml_min * MM3_S_PER_ML_MIN,
             given.viscosity_cp * PA_S_PER_CP,
             self.gamma,
+        )
+
+    def physics(self) -> Physics:
+        """What decides the geometry, as its solvers take it."""
+        given = self.geometry
+        return Physics(
+            viscosity=self.viscosity,
+            gamma_by_generation=given.gamma_by_generation,
+            objective=given.objective,
+            metabolic_pa_s=given.metabolic_w_m3,
+            l_min_mm=given.l_min_mm,
+            r_min_mm=given.r_min_mm,
         )
 
     def growth_options(self) -> GrowthOptions:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from generator.config import Config
 from generator.domain import Domain
 from generator.domains import make_domain
+from generator.geometry.stage import GeometryStage
 from generator.growth.growth import Growth, Step
 from generator.growth.insertion_order import spread_order
 from generator.growth.root_tree import RootTree
@@ -22,11 +24,12 @@ from vascval.io.trees import read_tree
 
 @dataclass
 class Stage:
-    """A stage that was run: its name, seconds of wall time, volume of the tree after it."""
+    """A stage that was run: its name, seconds of wall time, volume of the tree after it, optimisations solved."""
 
     name: str
     seconds: float
     volume_mm3: float
+    solves: int | None = None
 
 
 @dataclass
@@ -37,6 +40,7 @@ class Run:
     domain: Domain
     growth: Growth
     stages: list[Stage] = field(default_factory=list)
+    _optimised: Tree | None = None
 
     @classmethod
     def of(cls, config: Config) -> Run:
@@ -52,17 +56,39 @@ class Run:
 
     def steps(self) -> Iterator[tuple[str, Step]]:
         """The name of the stage and where it stands, again and again until all is done."""
-        began = time.perf_counter()
-        stage = Stage("growth", 0.0, 0.0)
-        self.stages.append(stage)
-        for step in self.growth.steps():
-            stage.seconds, stage.volume_mm3 = time.perf_counter() - began, step.volume_mm3
-            yield stage.name, step
-        stage.volume_mm3 = self.tree().volume_mm3
+        growth, geometry = Stage("growth", 0.0, 0.0), Stage("geometry", 0.0, 0.0)
+        optimised = self.config.method == "geometry"
+        self.stages += [growth, geometry] if optimised else [growth]
+        options, target = self.config.geometry, self.growth.n_terminals
+        while True:
+            during = optimised and options.during_growth
+            until = min(target, self.growth.n_grown + options.interval(self.growth.n_grown)) if during else target
+            began = time.perf_counter()
+            for step in self.growth.steps(until):
+                yield growth.name, step
+                now = time.perf_counter()
+                growth.seconds, growth.volume_mm3, began = growth.seconds + now - began, step.volume_mm3, now
+            if until == target or self.growth.stopped_at_thinnest:
+                break
+            parent, position = self.growth.snapshot()
+            self.growth.put(parent, self.geometry.relax(parent, position))
+            geometry.seconds += time.perf_counter() - began
+        growth.volume_mm3 = self.tree().volume_mm3
+        if optimised:
+            yield geometry.name, Step(0, 1, growth.volume_mm3)
+            began = time.perf_counter()
+            self._optimised = self.geometry.finish(*self.growth.snapshot()).tree
+            geometry.seconds += time.perf_counter() - began
+            geometry.volume_mm3, geometry.solves = self._optimised.volume_mm3, self.geometry.solves
+            yield geometry.name, Step(1, 1, geometry.volume_mm3)
+
+    @cached_property
+    def geometry(self) -> GeometryStage:
+        return GeometryStage(self.config, self.domain, self.growth.root_tree)
 
     def tree(self) -> Tree:
         """The tree as it is now, perfused."""
-        return self.growth.tree()
+        return self._optimised or self.growth.tree()
 
     def inputs(self) -> list[Path]:
         """The files that decide the tree."""

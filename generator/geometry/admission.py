@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from generator._domain_kernels import inside_along
 from generator.domain import Domain
 from generator.geometry import _clearance_kernels as kernels
 from generator.geometry.problem import Problem, Solution
@@ -37,11 +38,11 @@ class Admission:
         """Whether there is nothing to check: a node's optimum lies in the convex hull of its neighbours."""
         return self.apart == 0.0 and (self.domain is None or self.domain.space.convex)
 
-    def offending(self, tree: Tree) -> np.ndarray:
-        """(N,) bool: segments that are not wholly inside or overlap another."""
+    def offending(self, problem: Problem, tree: Tree) -> np.ndarray:
+        """(N,) bool: free segments that are not wholly inside or overlap another; the root tree may lie outside."""
         marked = np.zeros(tree.n_nodes, dtype=bool)
         if self.domain is not None and not self.domain.space.convex:
-            marked[1:] = ~self.domain.segments_inside(tree.position_mm[tree.parent[1:]], tree.position_mm[1:])
+            marked[1:] = ~inside_along(self.domain.space, tree.position_mm[tree.parent[1:]], tree.position_mm[1:])
         if self.apart > 0.0:
             start, end = tree.position_mm[tree.parent], tree.position_mm
             start = np.vstack((end[:1], start[1:]))
@@ -51,23 +52,19 @@ class Admission:
             kernels.mark_overlapping(
                 tree.parent, tree.position_mm, tree.radius_mm, self.apart, order, low, high, marked
             )
-        return marked
+        return marked & problem.free
 
 
-def admitted(
-    problem: Problem, admission: Admission, solve: Callable[[Problem], Solution], *, tolerated: np.ndarray | None = None
-) -> Solution:
+def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], Solution]) -> Solution:
     """The optimum of ``problem`` as far as it is admissible.
 
-    :param tolerated: (N,) bool: segments that offend at the start and may go on doing so (a root tree outside).
     :raises ComputationError: when the tree at the start offends elsewhere.
     """
     optimum = solve(problem)
     if admission.always:
         return optimum
     begin = evaluate(problem)
-    tolerated = np.zeros(problem.n_nodes, bool) if tolerated is None else tolerated
-    bad = np.flatnonzero(admission.offending(begin.tree) & ~tolerated)
+    bad = np.flatnonzero(admission.offending(problem, begin.tree))
     if bad.size:
         raise ComputationError(
             f"{bad.size} segments leave the domain or overlap others before the geometry is optimised (first: segment "
@@ -75,7 +72,7 @@ def admitted(
         )
     best, steps = begin, optimum.n_iterations
     for _ in range(_ROUNDS):
-        share = _retreat(problem.at(best.position_mm), optimum, admission, tolerated)
+        share = _retreat(problem.at(best.position_mm), optimum, admission)
         position = best.position_mm + share[:, None] * (optimum.position_mm - best.position_mm)
         found = evaluate(problem.at(position))
         if not found.cost_mm3 < best.cost_mm3:
@@ -91,13 +88,13 @@ def admitted(
     return replace(best, problem=problem, n_iterations=steps)
 
 
-def _retreat(problem: Problem, optimum: Solution, admission: Admission, tolerated: np.ndarray) -> np.ndarray:
+def _retreat(problem: Problem, optimum: Solution, admission: Admission) -> np.ndarray:
     """(N,) how far each node may go towards the optimum, 0 to 1, for the tree to be admissible."""
     share = np.ones(problem.n_nodes)
     parent, step = problem.topology.parent, optimum.position_mm - problem.position_mm
     while True:
         tree = evaluate(problem.at(problem.position_mm + share[:, None] * step)).tree
-        bad = np.flatnonzero(admission.offending(tree) & ~tolerated)
+        bad = np.flatnonzero(admission.offending(problem, tree))
         if bad.size == 0:
             return share
         nodes = np.unique(np.concatenate((bad, parent[bad])))

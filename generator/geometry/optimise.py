@@ -50,7 +50,7 @@ def optimise(
     solution = _contract(admitted(problem, admission, _solver(solver, _ROUGH_COLD)), rough, admission, 2)
     for _ in range(_SPLITS if splitting else 0):
         trial = split(solution)
-        if trial is None or (not admission.always and admission.offending(evaluate(trial).tree).any()):
+        if trial is None or (not admission.always and admission.offending(trial, evaluate(trial).tree).any()):
             break
         better = _contract(admitted(trial, admission, rough), rough, admission, 1)
         if not better.cost_mm3 < solution.cost_mm3 * (1.0 - _WORTH):
@@ -65,6 +65,11 @@ def optimise(
             "clusters of terminals that nearly coincide"
         )
     return solution
+
+
+def relax(problem: Problem, *, solver: Solver = "reduced", admission: Admission | None = None) -> Solution:
+    """A nearly optimal geometry of the same topology, for a tree that grows on."""
+    return admitted(problem, admission or Admission(), _solver(solver, _ROUGH_COLD))
 
 
 def _solver(solver: Solver, options: ReducedOptions) -> Callable[[Problem], Solution]:
@@ -90,7 +95,7 @@ def _admissible_contraction(solution: Solution, admission: Admission) -> Problem
         smaller, heir = made
         if admission.always:
             return smaller
-        bad = np.flatnonzero(admission.offending(evaluate(smaller).tree))
+        bad = np.flatnonzero(admission.offending(smaller, evaluate(smaller).tree))
         if bad.size == 0:
             return smaller
         touched = np.zeros(smaller.n_nodes, bool)

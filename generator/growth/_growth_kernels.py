@@ -337,14 +337,17 @@ def load(store, stems, parent, position):
         r.sibling = store.segment[r.parent].child
         store.segment[r.parent].child = i
         store.segment[r.parent].n += r.n
-    j = 0
+    inner = np.zeros(store.n_fixed, np.bool_)
+    for i in range(1, store.n_fixed):
+        inner[parent[i]] = True
+    stem = np.cumsum(~inner) - 1  # stems are numbered as the ends of the root tree that they spring from
     for i in range(store.n_fixed, size):
         r = store.segment[i]
         if r.parent < store.n_fixed:
+            j = stem[r.parent]
             r.stem = j
             stems.top[j], stems.n[j] = i, r.n
             stems.cost[j] = 0.5 * np.log(r.rho) + np.log(r.v)
-            j += 1
         else:
             r.stem = store.segment[r.parent].stem
 

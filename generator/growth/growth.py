@@ -147,20 +147,31 @@ class Growth:
             raise ComputationError("nothing has grown yet; let growth go on for a step")
         return self._state.tree()
 
-    def steps(self) -> Iterator[Step]:
+    def snapshot(self) -> tuple[np.ndarray, np.ndarray]:
+        """``parent`` (N,) and ``position_mm`` (N, 3), root first, the nodes of the root tree before all others."""
+        return self._state.snapshot()
+
+    def put(self, parent: np.ndarray, position_mm: np.ndarray) -> None:
+        """Go on from another tree with the same root tree and terminals, numbered as :meth:`snapshot` does."""
+        self._state.put(parent, position_mm)
+        self._measured = 0
+
+    def steps(self, until: int | None = None) -> Iterator[Step]:
         """Grow, a fraction of a second at a time, until all terminals are placed or the thinnest radius is reached.
 
+        :param until: stop at so many terminals; growth may go on from there.
         :raises InputError: when terminals cannot be placed.
         :raises ComputationError: when ``thinnest_mm`` cannot be kept and ``at_thinnest`` is ``error``, or vessels
             cannot be kept apart.
         """
         pace, rounds = 100, 0
+        goal = self.n_terminals if until is None else min(until, self.n_terminals)
         while True:
             began = time.perf_counter()
             if not self.begun:
                 self._begin()
-            self._advance(min(self.n_grown + pace, self.n_terminals))
-            if self.n_grown == self.n_terminals or self.stopped_at_thinnest:
+            self._advance(min(self.n_grown + pace, goal))
+            if self.n_grown >= goal or self.stopped_at_thinnest:
                 rounds += 1
                 if not self._mend_overlaps(rounds):
                     break
@@ -181,7 +192,9 @@ class Growth:
             )
         self._measured = 0
         if len(dropped) and self._given is not None:
-            self._points, self._outcome = dropped, np.zeros(len(dropped), np.int8)
+            waiting = self._points[self._outcome != kernels.PLACED]
+            self._points = np.vstack((dropped, waiting))
+            self._outcome = np.zeros(len(self._points), np.int8)
             self._state.store.counts[3] = 0
         return len(dropped) > 0
 

@@ -106,6 +106,17 @@ class GrowthState:
         topology = Topology(np.concatenate(([-1], rank[parent[order[1:]]])))
         return perfused_tree(topology, position[order], self.perfusion, fixed)
 
+    def snapshot(self) -> tuple[np.ndarray, np.ndarray]:
+        """``parent`` (N,) and ``position_mm`` (N, 3), root first, the nodes of the root tree before all others."""
+        parent, position = self.arrays()
+        return _without(parent, position, np.zeros(parent.size, bool), self.store.n_fixed)
+
+    def put(self, parent: np.ndarray, position_mm: np.ndarray) -> None:
+        """Go on from another tree on the same root tree and with as many terminals, numbered as :meth:`snapshot` does."""
+        self.store.counts[:2] = 0
+        self._fill(parent, position_mm)
+        self.renew()
+
     def drop_overlapping(self, margin: float) -> np.ndarray:
         """Take out the smaller of every two vessels that overlap, with all below it; (K, 3) terminals taken out."""
         self.renew()
@@ -116,9 +127,7 @@ class GrowthState:
         kernels.spread_down(self.store, lost)
         leaf = self.store.segment["child"][: self.n_nodes] < 0
         dropped = position[lost & leaf]
-        self.store.counts[:2] = 0
-        self._fill(*_without(parent, position, lost, self.store.n_fixed))
-        self.renew()
+        self.put(*_without(parent, position, lost, self.store.n_fixed))
         return dropped
 
     def _fill(self, parent: np.ndarray, position_mm: np.ndarray) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,7 +111,7 @@ def _document(run: Run, tree: Tree) -> dict[str, Any]:
         "evenness": evenness(run.domain, tree.position_mm[tree.topology.terminals]),
         "seconds": sum(stage.seconds for stage in run.stages),
         "stages": [
-            {"name": stage.name, "seconds": stage.seconds, "volume_mm3": stage.volume_mm3} for stage in run.stages
+            {name: value for name, value in asdict(stage).items() if value is not None} for stage in run.stages
         ],
     }
 
