@@ -23,6 +23,11 @@ def count(value: Any) -> str:
     return NONE if missing(value) else _signed(f"{round(value):,}".replace(",", THIN))
 
 
+def several(n: int, noun: str, ending: str = "s") -> str:
+    """So many of something."""
+    return f"{count(n)} {noun}{'' if n == 1 else ending}"
+
+
 def measure(value: Any, digits: int = 3) -> str:
     """A number to ``digits`` significant digits, with a power of ten below 0.0001 and from a million on."""
     if missing(value):

@@ -189,6 +189,8 @@ def _flat(values: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
 def _value(value: Any) -> str:
     if value is None:
         return "not given"
+    if isinstance(value, float):
+        return f"{value:.6g}"
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 

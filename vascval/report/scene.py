@@ -18,16 +18,21 @@ _MAX_RAW_TRIANGLES = 1_500_000
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangles: ``points_mm`` (P, 3) and ``triangles`` (T, 3), int. ``note`` says how it was simplified."""
+    """Triangles: ``points_mm`` (P, 3) and ``triangles`` (T, 3), int. ``note`` says how it was simplified.
+
+    Where tubes fit their image, tube and surface lie within a voxel and would show in patches: the surface is drawn
+    ``voxel_mm`` nearer to the viewer, which does not move it on a parallel view.
+    """
 
     points_mm: np.ndarray
     triangles: np.ndarray
+    voxel_mm: float = 0.0
     note: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class Tubes:
-    """A tree as straight pieces, thickest first: ``start_mm``, ``end_mm`` (K, 3), ``radius_mm``, ``generation`` (K,).
+    """A tree as straight pieces, thickest first: ``start_mm``, ``end_mm`` (K, 3), ``radius_mm`` and ``segment`` (K,).
 
     ``n_segments_left_out`` counts the thinnest segments, dropped where the pieces would be too many to draw;
     ``thinnest_drawn_mm`` is the radius of the thinnest one that stayed.
@@ -37,7 +42,7 @@ class Tubes:
     start_mm: np.ndarray
     end_mm: np.ndarray
     radius_mm: np.ndarray
-    generation: np.ndarray
+    segment: np.ndarray
     n_segments_left_out: int
     thinnest_drawn_mm: float
 
@@ -45,8 +50,7 @@ class Tubes:
 def tubes(tree: Tree, series: Series, *, max_pieces: int = MAX_PIECES) -> Tubes:
     """The segments of ``tree`` as pieces, one for each step of a curved centreline.
 
-    Segments are taken from the thickest on until ``max_pieces`` is reached. The generation of each piece is that of
-    its segment, 0 where the tree carries none. A tree without segments has no pieces.
+    Segments are taken from the thickest on until ``max_pieces`` is reached. A tree without segments has no pieces.
     """
     polyline, offset = tree.polyline_mm, tree.polyline_offset
     if polyline is None or offset is None:
@@ -58,13 +62,12 @@ def tubes(tree: Tree, series: Series, *, max_pieces: int = MAX_PIECES) -> Tubes:
     segment = np.repeat(kept, n_pieces[kept])
     within = np.arange(segment.size) - np.repeat(np.cumsum(n_pieces[kept]) - n_pieces[kept], n_pieces[kept])
     first = offset[segment] + within
-    generation = tree.columns.get("generation", np.zeros(tree.n_nodes, dtype="int32"))
     return Tubes(
         series=series,
         start_mm=polyline[first],
         end_mm=polyline[first + 1],
         radius_mm=tree.radius_mm[segment],
-        generation=generation[segment],
+        segment=segment,
         n_segments_left_out=tree.n_segments - kept.size,
         thinnest_drawn_mm=float(tree.radius_mm[kept].min()) if kept.size else 0.0,
     )
@@ -97,7 +100,9 @@ def mask_surface(volume: Any, *, max_triangles: int = MAX_TRIANGLES) -> Surface 
     if mesh.n_cells > max_triangles:
         note += f", simplified from {mesh.n_cells:,} to about {max_triangles:,} triangles"
         mesh = mesh.decimate(1.0 - max_triangles / mesh.n_cells)
-    return Surface(np.asarray(mesh.points, dtype="float64"), np.asarray(mesh.regular_faces, dtype="int64"), note)
+    voxel = block * float(np.max(volume.spacing_mm))
+    points, faces = np.asarray(mesh.points, dtype="float64"), np.asarray(mesh.regular_faces, dtype="int64")
+    return Surface(points, faces, voxel, note)
 
 
 def _bounds(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from vascval.comparison import Comparison
 from vascval.report import panels
-from vascval.report.formats import NONE, THIN, change, count, measure, missing, percent, spread
+from vascval.report.formats import NONE, THIN, change, count, measure, missing, percent, several, spread
 from vascval.report.page import Cell, Figure, Section, Table, Text
 from vascval.report.subject import Side, Subject
 
@@ -56,10 +56,12 @@ def _headline(subject: Subject) -> list[str]:
     for side, analysis in subject.measured:
         total = analysis.summary
         said.append(
-            f"{side.label}: {count(total['n_terminals'])} terminals in {len(analysis.generations)} generations, "
+            f"{side.label}: {several(total['n_terminals'], 'terminal')} in "
+            f"{several(len(analysis.generations), 'generation')}, "
             f"{measure(total['total_length_mm'])}{THIN}mm of vessels, {measure(total['volume_mm3'])}{THIN}mm³; "
-            f"{count(total['n_trifurcations'])} trifurcations and {count(total['n_monopodial'])} monopodial branches "
-            f"at {count(len(analysis.junctions))} junctions."
+            f"{several(total['n_trifurcations'], 'trifurcation')} and "
+            f"{several(total['n_monopodial'], 'monopodial branch', 'es')} at "
+            f"{several(len(analysis.junctions), 'junction')}."
         )
     said += [
         f"{side.label}: a published table of {len(side.generations)} generations."
@@ -91,7 +93,7 @@ def _totals(subject: Subject) -> Table:
     paired = subject.comparison is not None and subject.first.analysis is not None
     head = [Cell("", "head")]
     for k, (side, _) in enumerate(sides):
-        head += [Cell(side.label)] + ([Cell("difference", "delta")] if paired and k else [])
+        head += [Cell(side.short)] + ([Cell("difference", "delta")] if paired and k else [])
     body = []
     for key, label, form in _TOTALS:
         body.append(_total_row(label, [analysis.summary[key] for _, analysis in sides], form, paired))
@@ -128,13 +130,18 @@ def key_statistics(subject: Subject, figures: Path) -> Section:
     return Section("key-statistics", "Key statistics", [Figure(caption, pictures, two=True), *quoted])
 
 
-_BY_GENERATION: tuple[tuple[str, str, str | None, Format], ...] = (
-    ("n_segments", "segments", None, count),
-    ("n_elements", "elements", None, count),
-    ("radius_mean_mm", "radius (mm)", "radius_sd_mm", measure),
-    ("length_mean_mm", "length (mm)", "length_sd_mm", measure),
-    ("branching_ratio_mean", "branching ratio", "branching_ratio_sd", measure),
-)
+_BY_GENERATION: dict[str, tuple[tuple[str, str, str | None, Format], ...]] = {
+    "Number and total length of the vessels by generation (root 1).": (
+        ("n_segments", "segments", None, count),
+        ("n_elements", "elements", None, count),
+        ("total_length_mm", "total length (mm)", None, measure),
+    ),
+    "Size of the vessels by generation (root 1).": (
+        ("radius_mean_mm", "radius (mm)", "radius_sd_mm", measure),
+        ("length_mean_mm", "length (mm)", "length_sd_mm", measure),
+        ("branching_ratio_mean", "branching ratio", "branching_ratio_sd", measure),
+    ),
+}
 
 
 def generations(subject: Subject) -> Section:
@@ -144,15 +151,19 @@ def generations(subject: Subject) -> Section:
         if paired
         else "."
     )
-    tables = [
-        _generation_table(subject, column, label, sd, form)
-        for column, label, sd, form in _BY_GENERATION
-        if any(column in side.generations for side in subject.sides)
-    ]
-    return Section("generations", "By generation", [Text(words.replace("NAME", NONE)), _joined(tables, subject)])
+    blocks: list[Any] = [Text(words.replace("NAME", NONE))]
+    for caption, measures in _BY_GENERATION.items():
+        groups = [
+            _generation_group(subject, column, label, sd, form)
+            for column, label, sd, form in measures
+            if any(column in side.generations for side in subject.sides)
+        ]
+        if groups:
+            blocks.append(_joined(caption, groups, subject))
+    return Section("generations", "By generation", blocks)
 
 
-def _generation_table(
+def _generation_group(
     subject: Subject, column: str, label: str, sd: str | None, form: Format
 ) -> tuple[str, list[Cell], dict[int, list[Cell]]]:
     """A group of columns: its name, the head below it, and the cells by generation."""
@@ -174,14 +185,14 @@ def _generation_table(
     return label, head, body
 
 
-def _joined(groups: list[tuple[str, list[Cell], dict[int, list[Cell]]]], subject: Subject) -> Table:
+def _joined(caption: str, groups: list[tuple[str, list[Cell], dict[int, list[Cell]]]], subject: Subject) -> Table:
     head = two_rows("generation", [(label, cells) for label, cells, _ in groups])
     body = [
         [Cell(str(generation), "head"), *(cell for _, _, rows in groups for cell in rows[generation])]
         for generation in _all_generations(subject)
     ]
     files = "tables/generations.csv" + (", tables/differences.csv" if subject.comparison is not None else "")
-    return Table("Vessels by generation (root 1).", head, body, files)
+    return Table(caption, head, body, files)
 
 
 def two_rows(first: str, groups: Sequence[tuple[str, Sequence[Cell]]]) -> list[list[Cell]]:
@@ -248,8 +259,8 @@ def _by_generation(frame: pd.DataFrame) -> dict[int, dict[Any, Any]]:
 
 
 def _threshold_table(subject: Subject) -> Table:
-    tables = [(side.label, analysis.monopodial_sensitivity) for side, analysis in subject.measured]
-    head = [Cell("", "head"), *(Cell(label) for label, _ in tables)]
+    tables = [(side.short, analysis.monopodial_sensitivity) for side, analysis in subject.measured]
+    head = [Cell("", "head"), *(Cell(name) for name, _ in tables)]
     body = [
         [Cell(words, "head"), *(Cell(count(getattr(table["n_monopodial"], how)())) for _, table in tables)]
         for words, how in (("fewest", "min"), ("median", "median"), ("most", "max"))

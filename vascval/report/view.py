@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,12 +15,15 @@ from typing import Any
 import numpy as np
 
 from vascval.core.errors import ComputationError
+from vascval.core.ordering import strahler_order
 from vascval.core.tree import Tree
 from vascval.io.atomic import atomic_file
+from vascval.report.plots import plain_text
 from vascval.report.scene import Surface, Tubes, Viewpoint, bounds_mm, scale_bar_mm, tubes, viewpoint
 from vascval.report.style import INK, SURFACE, TREES, Series, rc
 
-_WIDTH, _HEIGHT = 1600, 1200
+_WIDTH, _HEIGHT, _FOOT, _DPI = 1600, 1200, 140, 200
+_MOST_BALLS = 4000
 
 _PROBE = """
 import pyvista
@@ -30,13 +35,13 @@ raise SystemExit(0 if plotter.screenshot(return_img=True).max() > 128 else 3)
 
 
 def view(tree: Tree, *, screenshot: Path | None = None, surface: Surface | None = None) -> None:
-    """Show ``tree`` as tubes of its radii: in a window, or as a PNG file ``screenshot``, both with a scale bar.
+    """Show ``tree`` as tubes of its radii, coloured by Strahler order: in a window, or as a PNG file ``screenshot``.
 
     A file needs no display: VTK takes an X server, EGL or Mesa's software renderer, whichever there is.
 
     :raises ComputationError: when nothing can be drawn on this machine.
     """
-    layers = [tubes(tree, Series("tree", "tree", *TREES[0]))]
+    layers = _by_order(tree)
     if screenshot is not None:
         write_picture(screenshot, layers, surface=surface)
         return
@@ -45,6 +50,24 @@ def view(tree: Tree, *, screenshot: Path | None = None, surface: Surface | None 
     plotter = _plotter(layers, surface, viewpoint(*bounds_mm(surface, layers)), off_screen=False)
     plotter.add_legend_scale()
     plotter.show(title="vascval")
+
+
+def _by_order(tree: Tree) -> list[Tubes]:
+    """The tubes of a tree in layers, one for each Strahler order, the highest first and darkest."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    order = strahler_order(tree.topology)
+    highest = int(order[1:].max(initial=0))
+    everything = tubes(tree, Series("tree", "tree", *TREES[0]))
+    layers = []
+    for value in range(highest, 0, -1):
+        share = (value - 1) / max(highest - 1, 1)
+        look = Series(f"order {value}", "tree", to_hex(colormaps["cividis"](0.85 * (1.0 - share))), "o", "-", "")
+        mine = order[everything.segment] == value
+        chosen = {name: getattr(everything, name)[mine] for name in ("start_mm", "end_mm", "radius_mm", "segment")}
+        layers.append(replace(everything, series=look, **chosen))
+    return layers
 
 
 @lru_cache(maxsize=1)
@@ -73,7 +96,7 @@ def write_picture(path: Path, layers: Sequence[Tubes], *, surface: Surface | Non
     plotter.close()
     figure, axes = _frame(seen)
     half_w, half_h = _shown(seen)
-    axes.imshow(pixels, extent=(-half_w, half_w, -half_h, half_h), interpolation="none")
+    axes.imshow(pixels, extent=(-half_w, half_w, -half_h, half_h), interpolation="none", aspect="auto")
     _finish(path, figure, axes, layers, surface)
     return seen.words
 
@@ -84,7 +107,7 @@ def write_flat_picture(path: Path, layers: Sequence[Tubes], *, surface: Surface 
 
     seen = viewpoint(*bounds_mm(surface, layers))
     figure, axes = _frame(seen)
-    points_per_mm = _HEIGHT / 200.0 * 72.0 / (2.0 * _shown(seen)[1])
+    points_per_mm = _HEIGHT / _DPI * 72.0 / (2.0 * _shown(seen)[1])
     if surface is not None:
         flat = (surface.points_mm - seen.centre_mm) @ seen.axes.T
         axes.scatter(flat[:, 0], flat[:, 1], s=1.0, color=SURFACE, alpha=0.25, linewidths=0, rasterized=True)
@@ -114,14 +137,15 @@ def _plotter(layers: Sequence[Tubes], surface: Surface | None, seen: Viewpoint, 
     plotter: Any = pyvista.Plotter(off_screen=off_screen, window_size=[_WIDTH, _HEIGHT])
     plotter.set_background("white")
     plotter.enable_anti_aliasing("ssaa")
-    for layer in layers:
-        if len(layer.radius_mm):
-            plotter.add_mesh(_tube_mesh(layer), color=layer.series.colour, specular=0.15, smooth_shading=True)
-    if surface is not None:
-        mesh = pyvista.PolyData.from_regular_faces(surface.points_mm, surface.triangles)
-        plotter.enable_depth_peeling()
-        plotter.add_mesh(mesh, color=SURFACE, opacity=0.35, smooth_shading=True)
     _, up, back = seen.axes
+    for layer in layers:
+        for mesh in _tube_meshes(layer, 2.0 * _shown(seen)[1] / _HEIGHT):
+            plotter.add_mesh(mesh, color=layer.series.colour, specular=0.15, smooth_shading=True)
+    if surface is not None:
+        nearer = surface.points_mm + surface.voxel_mm * back
+        plotter.enable_depth_peeling()
+        mesh = pyvista.PolyData.from_regular_faces(nearer, surface.triangles)
+        plotter.add_mesh(mesh, color=SURFACE, opacity=0.35, smooth_shading=True)
     distance = 10.0 * max(_shown(seen))
     plotter.enable_parallel_projection()
     plotter.camera.position = seen.centre_mm + distance * back
@@ -132,15 +156,25 @@ def _plotter(layers: Sequence[Tubes], surface: Surface | None, seen: Viewpoint, 
     return plotter
 
 
-def _tube_mesh(layer: Tubes) -> Any:
+def _tube_meshes(layer: Tubes, pixel_mm: float) -> list[Any]:
+    """The pieces as tubes, with balls at the ends of those thick enough for the gap at a bend to show."""
     import pyvista
 
     n = len(layer.radius_mm)
+    if n == 0:
+        return []
     points = np.stack((layer.start_mm, layer.end_mm), axis=1).reshape(-1, 3)
     cells = np.column_stack((np.full(n, 2), 2 * np.arange(n), 2 * np.arange(n) + 1))
     mesh = pyvista.PolyData(points, lines=cells.ravel())
     mesh["radius_mm"] = np.repeat(layer.radius_mm, 2)
-    return mesh.tube(scalars="radius_mm", absolute=True, n_sides=12, capping=True)
+    tube = mesh.tube(scalars="radius_mm", absolute=True, n_sides=16, capping=True)
+    thick = slice(0, min(_MOST_BALLS, int(np.count_nonzero(layer.radius_mm > 3.0 * pixel_mm))))  # thickest come first
+    if thick.stop == 0:
+        return [tube]
+    ends = pyvista.PolyData(np.concatenate((layer.start_mm[thick], layer.end_mm[thick])))
+    ends["radius_mm"] = np.tile(layer.radius_mm[thick], 2)
+    ball = pyvista.Sphere(radius=1.0, theta_resolution=16, phi_resolution=12)
+    return [tube, ends.glyph(scale="radius_mm", orient=False, geom=ball)]
 
 
 def _frame(seen: Viewpoint) -> tuple[Any, Any]:
@@ -148,29 +182,32 @@ def _frame(seen: Viewpoint) -> tuple[Any, Any]:
     from matplotlib.figure import Figure
 
     with rc_context(rc()):
-        figure = Figure(figsize=(_WIDTH / 200.0, _HEIGHT / 200.0), dpi=200)
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        figure = Figure(figsize=(_WIDTH / _DPI, (_HEIGHT + _FOOT) / _DPI), dpi=_DPI)
+        axes = figure.add_axes((0.0, _FOOT / (_HEIGHT + _FOOT), 1.0, _HEIGHT / (_HEIGHT + _FOOT)))
     half_w, half_h = _shown(seen)
-    axes.set(xlim=(-half_w, half_w), ylim=(-half_h, half_h), aspect="equal")
+    axes.set(xlim=(-half_w, half_w), ylim=(-half_h, half_h))
     axes.axis("off")
     return figure, axes
 
 
 def _finish(path: Path, figure: Any, axes: Any, layers: Sequence[Tubes], surface: Surface | None) -> None:
-    """Add scale bar and legend and write the file."""
+    """Add a foot with legend and scale bar and write the file."""
     from matplotlib import rc_context
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     left, right = axes.get_xlim()
-    bottom, top = axes.get_ylim()
     bar = scale_bar_mm(right - left)
-    x, y = right - 0.03 * (right - left), bottom + 0.05 * (top - bottom)
-    axes.plot((x - bar, x), (y, y), color=INK, linewidth=2.0, solid_capstyle="butt", scalex=False, scaley=False)
-    axes.text(x - bar / 2.0, y + 0.015 * (top - bottom), f"{bar:g} mm", ha="center", va="bottom", fontsize=9, color=INK)
-    handles = [Patch(color=layer.series.colour, label=layer.series.label) for layer in layers]
+    x, y = 0.97, 0.4 * _FOOT / (_HEIGHT + _FOOT)
+    ends = (x - bar / (right - left), x)
+    handles = [Patch(color=layer.series.colour, label=plain_text(layer.series.label)) for layer in layers]
     if surface is not None:
         handles.append(Patch(color=SURFACE, alpha=0.5, label="surface of the cast"))
-    with rc_context(rc()):
-        axes.legend(handles=handles, loc="upper left", fontsize=9)
+    with rc_context(rc()), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=r"Glyph .* missing")
+        figure.add_artist(Line2D(ends, (y, y), color=INK, linewidth=2.0, solid_capstyle="butt"))
+        figure.text(sum(ends) / 2.0, y, f"{bar:g} mm", ha="center", va="bottom", fontsize=8.5, color=INK)
+        rows = -(-len(handles) // 4)
+        figure.legend(handles=handles, loc="lower left", ncols=-(-len(handles) // rows), fontsize=8.0)
         with atomic_file(path) as temporary:
             figure.savefig(temporary, format="png", metadata={"Software": None})

@@ -30,7 +30,7 @@ def dots(points_mm: np.ndarray, series: Series, *, radius_mm: float) -> Tubes:
     """Balls at ``points_mm`` (K, 3), as tubes of no length."""
     points = np.asarray(points_mm, dtype="float64").reshape(-1, 3)
     radius = np.full(len(points), radius_mm)
-    return Tubes(series, points, points, radius, np.zeros(len(points), dtype="int32"), 0, radius_mm)
+    return Tubes(series, points, points, radius, np.zeros(len(points), dtype="int64"), 0, radius_mm)
 
 
 def pack(layers: Sequence[Tubes], surface: Surface | None, *, hidden: Sequence[str] = ()) -> tuple[str, list[Layer]]:
@@ -50,6 +50,7 @@ def pack(layers: Sequence[Tubes], surface: Surface | None, *, hidden: Sequence[s
             {
                 "kind": "surface",
                 "colour": _rgb(SURFACE),
+                "nearer": surface.voxel_mm,
                 "points": _base64(_grid(surface.points_mm, low, size)),
                 "triangles": _base64(surface.triangles.astype("<u4")),
             }

@@ -20,10 +20,10 @@
   const SURFACE = `#version 300 es
     layout(location=0) in vec3 point;
     layout(location=1) in vec3 direction;
-    uniform mat3 turn; uniform vec3 centre, low, size; uniform vec2 scale; uniform float depth;
+    uniform mat3 turn; uniform vec3 centre, low, size; uniform vec2 scale; uniform float depth, nearer;
     out vec3 normal;
     void main() {
-      vec3 p = turn * (low + point * size - centre);
+      vec3 p = turn * (low + point * size - centre) + vec3(0.0, 0.0, nearer);
       normal = turn * direction;
       gl_Position = vec4(p.xy * scale, -p.z * depth, 1.0);
     }`;
@@ -183,6 +183,7 @@
         if (layer.kind !== kind || layer.hidden || !layer.count) continue;
         gl.uniform3fv(at("colour"), layer.colour);
         gl.uniform1f(at("veil"), kind === "surface" ? 0.55 : 0);
+        if (kind === "surface") gl.uniform1f(at("nearer"), layer.nearer);
         gl.bindVertexArray(layer.array);
         if (kind === "surface") gl.drawElements(gl.TRIANGLES, layer.count, gl.UNSIGNED_INT, 0);
         else gl.drawElementsInstanced(gl.TRIANGLES, shape.index.length, gl.UNSIGNED_SHORT, 0, layer.count);
