@@ -48,7 +48,9 @@ def mark_overlapping(parent, position, radius, margin, order, low, high, marked)
             if low[j, 1] > high[i, 1] or high[j, 1] < low[i, 1] or low[j, 2] > high[i, 2] or high[j, 2] < low[i, 2]:
                 continue
             q = parent[j]
-            if p == q or p == j or q == i:
+            if p == q:
+                continue
+            if p == j or q == i:
                 continue
             reach = margin * (radius[i] + radius[j])
             if square_between(position[p], position[i], position[q], position[j]) < reach * reach:

@@ -7,8 +7,6 @@ constant one.
 
 import math
 
-import numpy as np
-
 from vascval.core.jit import njit
 
 TINY_MM = 1e-12

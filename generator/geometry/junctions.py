@@ -57,9 +57,9 @@ def split_gains(solution: Solution) -> list[tuple[int, tuple[int, ...], float, f
     """At every junction of three or more branches the group of them whose split lowers the cost most, if any does.
 
     A group that leaves the junction ``v`` by a new segment of length ``l`` changes the cost by
-    ``l (w - |sum of w_c u_c|)`` to first order: ``w``, ``w_c`` are the derivatives of the cost by the lengths of the new
-    segment and of the branches ``c`` of the group, ``u_c`` their directions. A merged node is optimal if and only if this
-    is nowhere negative (the subgradient condition).
+    ``l (w - |sum of w_c u_c|)`` to first order: ``w``, ``w_c`` are the derivatives of the cost by the lengths of the
+    new segment and of the branches ``c`` of the group, ``u_c`` their directions. A merged node is optimal if and only
+    if this is nowhere negative (the subgradient condition).
 
     :returns: (junction, group, gain of the cost per mm in mm^2, radius of the new segment in mm), by junction.
     """
@@ -117,11 +117,11 @@ def split(solution: Solution) -> Problem | None:
     n = problem.n_nodes
     parent = np.concatenate((problem.topology.parent, np.zeros(len(splits), np.int32)))
     new_position = np.vstack((position, np.zeros((len(splits), 3))))
-    for k, (v, group, _, radius) in enumerate(splits):
+    for k, (v, group, _, width) in enumerate(splits):
         steps = position[list(group)] - position[v]
         length = np.linalg.norm(steps, axis=1)
         pull = (solution.tree.radius_mm[list(group)] ** 2 / length) @ steps
-        away = min(max(4.0 * radius, 2.0 * problem.physics.l_min_mm), 0.5 * length.min())
+        away = min(max(4.0 * width, 2.0 * problem.physics.l_min_mm), 0.5 * length.min())
         parent[list(group)] = n + k
         parent[n + k] = v
         new_position[n + k] = position[v] + away * pull / max(float(np.linalg.norm(pull)), 1e-300)

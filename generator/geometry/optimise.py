@@ -39,7 +39,8 @@ def optimise(
     """The optimal geometry with its multifurcations.
 
     ``contract``: degenerate segments are contracted and the geometry is optimised again to a fixed point;
-    ``splitting``: junctions whose splitting pays to first order are split, and what comes of it is kept if it is better.
+    ``splitting``: junctions whose splitting pays to first order are split, and what comes of it is kept if it is
+    better.
 
     :raises ComputationError: when a solver fails, or the tree is not admissible at the start.
     """
@@ -57,7 +58,8 @@ def optimise(
             break
         solution = better
     for solve in (close, fine):
-        solution = admitted(replace(solution.problem, position_mm=solution.position_mm, pull=solution.pull), admission, solve)
+        again = replace(solution.problem, position_mm=solution.position_mm, pull=solution.pull)
+        solution = admitted(again, admission, solve)
         solution = _contract(solution, solve, admission, _CONTRACTIONS)
     if _admissible_contraction(solution, admission) is not None:
         raise ComputationError(
@@ -69,7 +71,7 @@ def optimise(
 
 def relax(problem: Problem, *, solver: Solver = "reduced", admission: Admission | None = None) -> Solution:
     """A nearly optimal geometry of the same topology, for a tree that grows on."""
-    return admitted(problem, admission or Admission(), _solver(solver, _ROUGH_COLD))
+    return admitted(problem, admission or Admission(), _solver(solver, _ROUGH), strict=False)
 
 
 def _solver(solver: Solver, options: ReducedOptions) -> Callable[[Problem], Solution]:

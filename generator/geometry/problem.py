@@ -95,7 +95,8 @@ class Problem:
         pull = np.zeros(n) if self.pull is None else np.array(self.pull, np.float64)
         if radius.shape != (n,) or held.shape != (n,) or pull.shape != (n,):
             raise InputError(
-                f"fixed_radius_mm, held and pull have shapes {radius.shape}, {held.shape} and {pull.shape}; ({n},) is needed"
+                f"fixed_radius_mm, held and pull have shapes {radius.shape}, {held.shape} and {pull.shape}; "
+                f"({n},) is needed"
             )
         radius[0] = np.nan
         _refuse(radius <= 0.0, "fixed radii are not positive", "segment")

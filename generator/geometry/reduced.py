@@ -81,10 +81,13 @@ def solve_reduced(problem: Problem, options: ReducedOptions | None = None) -> So
         if violation > 0.25 * last:
             model.stiffening *= 4.0
         last = violation
-    bound = f"; {where}, where l_min_mm={shortest:g} is asked for: lower it" if violation > options.violation else ""
+    bound = ""
+    if violation > options.violation:
+        bound = f"; {where}, where l_min_mm={shortest:g} is asked for: lower it"
     raise ComputationError(
         f"the geometry of {problem.topology.n_terminals} terminals did not converge in {steps} steps: the forces at a "
-        f"node are out of balance by {found.residual:.2g} of those that pull at it, {options.tolerance:g} being asked for{bound}"
+        f"node are out of balance by {found.residual:.2g} of those that pull at it, {options.tolerance:g} being asked "
+        f"for{bound}"
     )
 
 
@@ -205,8 +208,9 @@ class Model:
     def _best_drop(self) -> float:
         """The pressure drop at which volume plus power is least.
 
-        Each stem's volume falls with the root of what is left. The derivative ``Q / metabolic - sum_j V_j left_j^(-1) / 2`` rises with the drop; its root is bracketed and
-        found by bisection in the logarithm of the pressure left for the stem that has least.
+        Each stem's volume falls with the root of what is left. The derivative
+        ``Q / metabolic - sum_j V_j left_j^(-1) / 2`` rises with the drop; its root is bracketed and found by bisection
+        in the logarithm of the pressure left for the stem that has least.
         """
         problem = self.problem
         loss = problem.stem_loss_pa

@@ -159,7 +159,7 @@ class Growth:
     def steps(self, until: int | None = None) -> Iterator[Step]:
         """Grow, a fraction of a second at a time, until all terminals are placed or the thinnest radius is reached.
 
-        :param until: stop at so many terminals; growth may go on from there.
+        :param until: stop at so many terminals; growth may go on from there, and vessels may overlap yet.
         :raises InputError: when terminals cannot be placed.
         :raises ComputationError: when ``thinnest_mm`` cannot be kept and ``at_thinnest`` is ``error``, or vessels
             cannot be kept apart.
@@ -173,7 +173,7 @@ class Growth:
             self._advance(min(self.n_grown + pace, goal))
             if self.n_grown >= goal or self.stopped_at_thinnest:
                 rounds += 1
-                if not self._mend_overlaps(rounds):
+                if goal < self.n_terminals or not self._mend_overlaps(rounds):
                     break
             took = time.perf_counter() - began
             pace = int(max(50, pace * min(2.0, _STEP_S / max(took, 1e-3))))
@@ -192,9 +192,7 @@ class Growth:
             )
         self._measured = 0
         if len(dropped) and self._given is not None:
-            waiting = self._points[self._outcome != kernels.PLACED]
-            self._points = np.vstack((dropped, waiting))
-            self._outcome = np.zeros(len(self._points), np.int8)
+            self._points, self._outcome = dropped, np.zeros(len(dropped), np.int8)
             self._state.store.counts[3] = 0
         return len(dropped) > 0
 

@@ -112,7 +112,7 @@ class GrowthState:
         return _without(parent, position, np.zeros(parent.size, bool), self.store.n_fixed)
 
     def put(self, parent: np.ndarray, position_mm: np.ndarray) -> None:
-        """Go on from another tree on the same root tree and with as many terminals, numbered as :meth:`snapshot` does."""
+        """Go on from another tree with the same root tree and terminals, numbered as :meth:`snapshot` does."""
         self.store.counts[:2] = 0
         self._fill(parent, position_mm)
         self.renew()
