@@ -33,7 +33,12 @@ _MOST = 400
 
 def distributions(subject: Subject, folder: Path) -> list[Picture]:
     """Cumulative distributions of every measure: no bins to choose, and trees of any size on one scale."""
-    return [_cumulative(subject, folder, name, *words) for name, words in MEASURES.items()]
+    pictures = []
+    for name, words in MEASURES.items():
+        found = [(side, data) for side, analysis in subject.measured if (data := values(analysis, name)).size]
+        if found:
+            pictures.append(_cumulative(found, folder, name, *words))
+    return pictures
 
 
 def values(analysis: Analysis, name: str) -> np.ndarray:
@@ -43,8 +48,9 @@ def values(analysis: Analysis, name: str) -> np.ndarray:
     return np.sort(chosen.to_numpy(float))
 
 
-def _cumulative(subject: Subject, folder: Path, name: str, title: str, unit: str, scale: str) -> Picture:
-    found = [(side, data) for side, analysis in subject.measured if (data := values(analysis, name)).size]
+def _cumulative(
+    found: list[tuple[Side, np.ndarray]], folder: Path, name: str, title: str, unit: str, scale: str
+) -> Picture:
     low, high = _window([data for _, data in found], scale)
 
     def draw(axes: Any) -> None:
@@ -71,8 +77,6 @@ def _cumulative(subject: Subject, folder: Path, name: str, title: str, unit: str
 
 def _window(data: list[np.ndarray], scale: str) -> tuple[float, float]:
     """What is shown: all but the outermost half percent of each side, so that one outlier does not squeeze the rest."""
-    if not data:
-        return 0.0, 1.0
     low = min(float(np.quantile(each, 0.005)) for each in data)
     high = max(float(np.quantile(each, 0.995)) for each in data)
     if scale == "log":

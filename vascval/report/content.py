@@ -27,7 +27,7 @@ def legend(subject: Subject) -> list[Swatch]:
     if subject.comparison is None:
         return []
     return [
-        swatch(side.series, side.short if side.analysis is not None else f"{side.short}, published")
+        swatch(side.series, side.short if side.analysis is not None else f"{side.short}, published table")
         for side in subject.sides
     ]
 

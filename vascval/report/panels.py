@@ -24,12 +24,15 @@ KEY_STATISTICS = (
 
 def key_statistics(subject: Subject, folder: Path) -> list[Picture]:
     """One panel per measure over the generations, all sides in each; bars are standard deviations."""
-    return [_by_generation(subject, folder, *measure) for measure in KEY_STATISTICS]
+    pictures = []
+    for column, title, unit, scale in KEY_STATISTICS:
+        shown = [side for side in subject.sides if _has(side.generations, column)]
+        if shown:
+            pictures.append(_by_generation(shown, folder, column, title, unit, scale))
+    return pictures
 
 
-def _by_generation(subject: Subject, folder: Path, column: str, title: str, unit: str, scale: str) -> Picture:
-    shown = [side for side in subject.sides if _has(side.generations, column)]
-
+def _by_generation(shown: list[Side], folder: Path, column: str, title: str, unit: str, scale: str) -> Picture:
     def draw(axes: Any) -> None:
         for k, side in enumerate(shown):
             _curve(axes, side, column, 0.1 * (k - (len(shown) - 1) / 2.0))

@@ -22,7 +22,6 @@ class Series:
     colour: str
     marker: str
     dash: str | tuple[int, tuple[float, ...]]
-    hatch: str
 
     @property
     def line(self) -> dict[str, Any]:
@@ -40,15 +39,15 @@ class Series:
         }
 
 
-CAST = ("#2b3036", "o", "-", "")
-REFERENCE = ("#8a6d1a", "X", (0, (1, 1.5)), "..")
-TREES: tuple[tuple[str, str, Any, str], ...] = (
-    ("#d1352b", "s", (0, (5, 1.6)), "////"),
-    ("#2f9e58", "^", (0, (1.2, 1.2)), "...."),
-    ("#6b2f8a", "D", (0, (6, 1.5, 1.2, 1.5)), "xxxx"),
-    ("#2679b8", "v", (0, (3, 1)), "\\\\\\\\"),
-    ("#b5651d", "P", (0, (8, 2)), "++++"),
-    ("#159a9c", "<", (0, (2, 2)), "oo"),
+CAST = ("#2b3036", "o", "-")
+REFERENCE = ("#8a6d1a", "X", (0, (1, 1.5)))
+TREES: tuple[tuple[str, str, Any], ...] = (
+    ("#d1352b", "s", (0, (5, 1.6))),
+    ("#2f9e58", "^", (0, (1.2, 1.2))),
+    ("#6b2f8a", "D", (0, (6, 1.5, 1.2, 1.5))),
+    ("#2679b8", "v", (0, (3, 1))),
+    ("#b5651d", "P", (0, (8, 2))),
+    ("#159a9c", "<", (0, (2, 2))),
 )
 SURFACE = "#9aa3ac"
 LOOP_COLOUR, SPUR_COLOUR, BREAK_COLOUR = "#c77700", "#0067a5", "#a3177a"
@@ -79,7 +78,6 @@ _RC: dict[str, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "lines.markersize": 5.0,
-    "hatch.linewidth": 0.5,
     "savefig.facecolor": "white",
     "figure.facecolor": "white",
     "figure.dpi": 100,
@@ -98,25 +96,26 @@ def rc() -> Any:
 
 def short_name(source: str) -> str:
     """The file's name without folder and without its usual suffixes; other text as it is."""
-    name = PurePath(source.replace("\\", "/")).name or source
+    return _stem(PurePath(source.replace("\\", "/")).name or source)
+
+
+def _stem(name: str) -> str:
     return re.sub(r"\.(nrrd|nhdr|nii(\.gz)?|mha|mhd|tiff?|vtp|vtk|swc|gxl(\.xml)?|csv)$", "", name, flags=re.I) or name
 
 
-def styled(cast: str | None, trees: Sequence[str], reference: str | None = None) -> list[Series]:
-    """Labels and looks of the cast (if any), the trees and a published reference (if any), in that order.
+def styled(cast: str, trees: Sequence[str], reference: str | None = None) -> list[Series]:
+    """Labels and looks of the cast, the trees and a published reference (if any), in that order.
 
-    Equal names are told apart by a number.
+    Sources of one name are told apart by their folders, those that are the same even so by a number.
     """
-    wanted: list[tuple[str, str, Any]] = [("cast", cast, CAST)] if cast is not None else []
+    wanted: list[tuple[str, str, Any]] = [("cast", cast, CAST)]
     wanted += [("tree", name, TREES[i % len(TREES)]) for i, name in enumerate(trees)]
     if reference is not None:
         wanted.append(("reference", reference, REFERENCE))
-    taken: dict[str, int] = {}
+    labels = [short_name(source) for _, source, _ in wanted]
+    labels = [_stem(source) if labels.count(label) > 1 else label for label, (_, source, _) in zip(labels, wanted)]
     series = []
-    for role, source, look in wanted:
-        label = short_name(source)
-        taken[label] = taken.get(label, 0) + 1
-        if taken[label] > 1:
-            label = f"{label} ({taken[label]})"
-        series.append(Series(label, role, *look))
+    for k, (role, _, look) in enumerate(wanted):
+        before = labels[:k].count(labels[k])
+        series.append(Series(f"{labels[k]} ({before + 1})" if before else labels[k], role, *look))
     return series

@@ -48,6 +48,8 @@ def summary(subject: Subject) -> Section:
     blocks: list[Any] = [Text(sentence, "lead") for sentence in _headline(subject)]
     if subject.measured:
         blocks.append(_totals(subject))
+    if subject.comparison is not None:
+        blocks += [Text(note, "note") for note in subject.comparison.notes]
     return Section("summary", "Summary", blocks)
 
 

@@ -63,7 +63,7 @@ def _by_order(tree: Tree) -> list[Tubes]:
     layers = []
     for value in range(highest, 0, -1):
         share = (value - 1) / max(highest - 1, 1)
-        look = Series(f"order {value}", "tree", to_hex(colormaps["cividis"](0.85 * (1.0 - share))), "o", "-", "")
+        look = Series(f"order {value}", "tree", to_hex(colormaps["cividis"](0.85 * (1.0 - share))), "o", "-")
         mine = order[everything.segment] == value
         chosen = {name: getattr(everything, name)[mine] for name in ("start_mm", "end_mm", "radius_mm", "segment")}
         layers.append(replace(everything, series=look, **chosen))
