@@ -85,7 +85,7 @@ class GeometryConfig(_Model):
     """How the geometry is optimised, see :mod:`generator.geometry`."""
 
     solver: Literal["reduced", "ipopt"] = Field(default="reduced", description="reduced space, or full space by Ipopt")
-    during_growth: bool = Field(default=True, description="while growing too, not just at the end")
+    during_growth: bool = Field(default=True, description="while growing too, if vessels may overlap")
     every: int = Field(default=20, ge=1, description="terminals between two optimisations, up to 1,000 terminals")
     every_at_most: int = Field(default=500, ge=1, description="and beyond, where it grows in proportion to them")
     contract: bool = Field(default=True, description="contract segments shorter than their diameter in the end")

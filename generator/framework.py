@@ -61,7 +61,7 @@ class Run:
         self.stages += [growth, geometry] if optimised else [growth]
         options, target = self.config.geometry, self.growth.n_terminals
         while True:
-            during = optimised and options.during_growth
+            during = optimised and self.geometry.during_growth
             until = min(target, self.growth.n_grown + options.interval(self.growth.n_grown)) if during else target
             began = time.perf_counter()
             for step in self.growth.steps(until):

@@ -55,28 +55,24 @@ class Admission:
         return marked & problem.free
 
 
-def admitted(
-    problem: Problem, admission: Admission, solve: Callable[[Problem], Solution], *, strict: bool = True
-) -> Solution:
+def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], Solution]) -> Solution:
     """The optimum of ``problem`` as far as it is admissible.
 
-    :param strict: nothing may offend; otherwise what offends at the start may go on doing so.
     :raises ComputationError: when the tree at the start offends elsewhere.
     """
     optimum = solve(problem)
     if admission.always:
         return optimum
     begin = evaluate(problem)
-    tolerated = admission.offending(problem, begin.tree)
-    bad = np.flatnonzero(tolerated)
-    if bad.size and strict:
+    bad = np.flatnonzero(admission.offending(problem, begin.tree))
+    if bad.size:
         raise ComputationError(
             f"{bad.size} segments leave the domain or overlap others before the geometry is optimised (first: segment "
             f"{bad[0]}); grow the tree inside the domain, without intersections if they are to be avoided"
         )
     best, steps = begin, optimum.n_iterations
     for _ in range(_ROUNDS):
-        share = _retreat(problem.at(best.position_mm), optimum, admission, tolerated)
+        share = _retreat(problem.at(best.position_mm), optimum, admission)
         position = best.position_mm + share[:, None] * (optimum.position_mm - best.position_mm)
         found = evaluate(problem.at(position))
         if not found.cost_mm3 < best.cost_mm3:
@@ -92,13 +88,13 @@ def admitted(
     return replace(best, problem=problem, n_iterations=steps)
 
 
-def _retreat(problem: Problem, optimum: Solution, admission: Admission, tolerated: np.ndarray) -> np.ndarray:
+def _retreat(problem: Problem, optimum: Solution, admission: Admission) -> np.ndarray:
     """(N,) how far each node may go towards the optimum, 0 to 1, for the tree to be admissible."""
     share = np.ones(problem.n_nodes)
     parent, step = problem.topology.parent, optimum.position_mm - problem.position_mm
     while True:
         tree = evaluate(problem.at(problem.position_mm + share[:, None] * step)).tree
-        bad = np.flatnonzero(admission.offending(problem, tree) & ~tolerated)
+        bad = np.flatnonzero(admission.offending(problem, tree))
         if bad.size == 0:
             return share
         nodes = np.unique(np.concatenate((bad, parent[bad])))

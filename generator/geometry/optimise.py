@@ -71,7 +71,7 @@ def optimise(
 
 def relax(problem: Problem, *, solver: Solver = "reduced", admission: Admission | None = None) -> Solution:
     """A nearly optimal geometry of the same topology, for a tree that grows on."""
-    return admitted(problem, admission or Admission(), _solver(solver, _ROUGH), strict=False)
+    return admitted(problem, admission or Admission(), _solver(solver, _ROUGH))
 
 
 def _solver(solver: Solver, options: ReducedOptions) -> Callable[[Problem], Solution]:

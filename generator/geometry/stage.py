@@ -33,6 +33,11 @@ class GeometryStage:
             Topology(parent), position_mm, self.config.flow(), self.config.physics(), fixed_radius_mm=radius
         )
 
+    @property
+    def during_growth(self) -> bool:
+        """Where vessels keep apart, radii that change by optimisation would make too many overlap: only at the end."""
+        return self.config.geometry.during_growth and self.admission.apart == 0.0
+
     def relax(self, parent: np.ndarray, position_mm: np.ndarray) -> np.ndarray:
         """Positions (N, 3) of nearly least volume for a tree that grows on; thin segments may yet become thick."""
         self.solves += 1
