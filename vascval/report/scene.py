@@ -90,7 +90,7 @@ def mask_surface(volume: Any, *, max_triangles: int = MAX_TRIANGLES) -> Surface 
     low, high = _bounds(mask)
     mask = mask[tuple(slice(a, b) for a, b in zip(low, high))]
     block = 1
-    while 2 * _n_faces(mask) > _MAX_RAW_TRIANGLES:
+    while 2 * _n_faces(np.pad(mask, 1)) > _MAX_RAW_TRIANGLES:
         mask, block = _coarser(mask), 2 * block
     corners, triangles, _, _ = marching_cubes(np.pad(mask, 1).astype("float32"), 0.5)
     index_zyx = (corners - 1.0) * block + (block - 1) / 2.0 + low
