@@ -112,6 +112,7 @@ def skeletonize(
         "n_loops_cut": len(drawn.loops.cuts),
         "n_pinholes_opened": drawn.loops.n_pinholes,
         "n_junctions_contracted": tree.n_segments - whole.n_segments,
+        "bump_mm": tips.bump_mm,
         "voxel_mm": volume.spacing_mm.tolist(),
         "selection": selection.rule,
     }
@@ -203,7 +204,7 @@ def _draw(voxels: Voxels, left: np.ndarray, thickness: np.ndarray, tips: Tips, r
     order, parent = graph.rooted(skeleton, root)
     position = voxels.index_xyz(skeleton.voxel) * voxels.spacing_mm
     at = thickness[skeleton.voxel]
-    loops = graph.judge_loops(skeleton, parent, ends, position, at, salience_mm(at, voxels.spacing_mm))
+    loops = graph.judge_loops(skeleton, parent, ends, position, at, salience_mm(at, tips.bump_mm))
     ends = np.union1d(ends[ends != root], loops.stub)
     return _Drawn(skeleton, order, parent, ends, loops)
 
