@@ -92,7 +92,8 @@ def location(subject: Subject, comparison: Comparison, figures: Path) -> Section
     blocks += [Text(_depth(place, side)) for place, side in zip(comparison.location, subject.trees)]
     caption = "Length matched, and mean distance of the centrelines of like generation with the tolerance as a line."
     blocks.append(Figure(caption, panels.location(comparison.location, subject.trees, subject.first, figures)))
-    blocks += [_location_table(place, side) for place, side in zip(comparison.location, subject.trees)]
+    for place, side in zip(comparison.location, subject.trees):
+        blocks += [_location_table(place, side, "cast"), _location_table(place, side, "tree")]
     return Section(key, title, blocks)
 
 
@@ -103,28 +104,25 @@ def _depth(place: Location, side: Side) -> str:
     return f"{side.label}: the cast is matched down to generation {last}."
 
 
-def _location_table(place: Location, side: Side) -> Table:
-    columns = (
-        ("cast_length_mm", "length (mm)", measure),
-        ("cast_matched_share", "matched", percent),
-        ("cast_chance_share", "by chance", percent),
-        ("cast_matched_any_share", "any generation", percent),
-        ("cast_distance_mean_mm", "mean (mm)", measure),
-        ("cast_distance_max_mm", "largest (mm)", measure),
-        ("tree_length_mm", "length (mm)", measure),
-        ("tree_matched_share", "matched", percent),
-        ("tree_matched_any_share", "any generation", percent),
-        ("tree_distance_mean_mm", "mean (mm)", measure),
-        ("tree_distance_max_mm", "largest (mm)", measure),
-    )
-    top = [Cell("", "head"), Cell("cast on tree", "group", 6), Cell("tree on cast", "group", 5)]
-    second = [Cell("generation", "head"), *(Cell(name) for _, name, _ in columns)]
+def _location_table(place: Location, side: Side, way: str) -> Table:
+    columns = [
+        (f"{way}_length_mm", "length (mm)", measure),
+        (f"{way}_matched_share", "matched", percent),
+        *([("cast_chance_share", "matched by chance", percent)] if way == "cast" else []),
+        (f"{way}_matched_any_share", "on any generation", percent),
+        (f"{way}_distance_mean_mm", "mean distance (mm)", measure),
+        (f"{way}_distance_max_mm", "largest (mm)", measure),
+        (f"{way}_distance_any_mean_mm", "mean to any (mm)", measure),
+    ]
     body = [
         [Cell(str(int(row["generation"])), "head"), *(Cell(form(row[key])) for key, _, form in columns)]
         for row in place.generations.to_dict("records")
+        if row[f"{way}_length_mm"] > 0
     ]
-    caption = f"{side.label}: length matched and distance to the nearest centreline of like generation, both ways."
-    return Table(caption, [top, second], body, "tables/location.csv")
+    head = [Cell("generation", "head"), *(Cell(name) for _, name, _ in columns)]
+    direction = f"The cast on {side.label}" if way == "cast" else f"{side.label} on the cast"
+    caption = f"{direction}: length matched, and distance to the nearest centreline of like generation."
+    return Table(caption, [head], body, "tables/location.csv")
 
 
 def territories(subject: Subject, comparison: Comparison, figures: Path) -> Section:

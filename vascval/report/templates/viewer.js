@@ -34,7 +34,7 @@
       vec3 n = normalize(normal);
       float facing = abs(n.z);
       float light = 0.5 + 0.5 * clamp(0.85 * facing + 0.25 * n.y - 0.1 * n.x, 0.0, 1.0);
-      float alpha = veil > 0.0 ? veil * mix(1.0, 0.25, facing * facing) : 1.0;
+      float alpha = veil > 0.0 ? veil * mix(1.0, 0.4, facing * facing) : 1.0;
       shown = vec4(colour * light * alpha, alpha);
     }`;
 
