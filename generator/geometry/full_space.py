@@ -188,6 +188,11 @@ class Programme:
             (np.zeros(3 * self.moving.size), pressure[self.inner], root, length, np.zeros(self.segments.size))
         )
         self.lower = np.concatenate((-unbounded, np.full(root.size, least), shortest / self.length_mm, thinnest))
+        if physics.r_min_mm > thickest and not self.frees_pressure:
+            raise ComputationError(
+                f"r_min {physics.r_min_mm:g} mm cannot be held: radii are allowed {thickest:.4g} mm, twice the largest "
+                "at the start; lower r_min_mm, or raise the flow, or lower the pressure drop"
+            )
         self.upper = np.concatenate((unbounded, root * np.inf, longest / self.length_mm, widest))
 
     def solution(self, values: np.ndarray, multipliers: np.ndarray, iterations: int) -> Solution:

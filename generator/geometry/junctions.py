@@ -107,8 +107,9 @@ def _weight_of_group(model: Model, v: int, group: list[int]) -> tuple[float, flo
 def split(solution: Solution) -> Problem | None:
     """The problem with every junction split whose splitting pays to first order; ``None``: there is none.
 
-    The new node is put two diameters, or twice the lower bound, away along the force, but not past half of the group's
-    shortest branch.
+    The root tree's nodes keep their place in the numbering, the others are numbered breadth first. A new node
+    is put two diameters, or twice the lower bound, away along the force, but not past half of the group's shortest
+    branch.
     """
     problem, position = solution.problem, solution.position_mm
     splits = split_gains(solution)
@@ -125,7 +126,9 @@ def split(solution: Solution) -> Problem | None:
         parent[list(group)] = n + k
         parent[n + k] = v
         new_position[n + k] = position[v] + away * pull / max(float(np.linalg.norm(pull)), 1e-300)
+    rooted = np.concatenate((~problem.free, np.zeros(len(splits), bool)))
     order = root_first(parent)
+    order = np.concatenate((np.flatnonzero(rooted), order[~rooted[order]]))
     rank = np.empty(order.size, np.int64)
     rank[order] = np.arange(order.size)
     radius = np.concatenate((problem.fixed_radius_mm, np.full(len(splits), np.nan)))

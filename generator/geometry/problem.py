@@ -107,6 +107,12 @@ class Problem:
             values.setflags(write=False)
             object.__setattr__(self, name, values)
         _ = self.stem_loss_pa
+        longest = 2.0 * float(self.lengths(position).max())
+        if self.physics.l_min_mm > longest:
+            raise ComputationError(
+                f"l_min {self.physics.l_min_mm:g} mm cannot be held: segments are allowed {longest:.4g} mm, twice the "
+                "longest at the start; lower l_min_mm"
+            )
         rigid = self.free & ~self.bounded & ~held & ~held[self.topology.parent]
         short = np.flatnonzero(rigid & (self.lengths(position) < self.physics.l_min_mm))
         if short.size:

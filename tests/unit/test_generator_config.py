@@ -64,7 +64,7 @@ def test_a_file_is_read_and_its_paths_are_relative_to_it(tmp_path):
         (["gamma=nan"], "gamma: input should be"),
         (["root_mm=1,2"], "root_mm.2 is missing|root_mm"),
         (["method=full"], "method=full is not available in this version; use method=cco"),
-        (["viscosity=fahraeus-lindqvist"], "not available in this version"),
+        (["viscosity=fahraeus-lindqvist"], "growth alone knows constant viscosity"),
         (["n_terminals"], "--set n_terminals: is not key=value"),
         (["seed.x=1"], "--set seed.x=1: seed is a value, not a table"),
         (["perfusion.flow_ml_min=-1"], "perfusion.flow_ml_min: input should be greater than 0"),
