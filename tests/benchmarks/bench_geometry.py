@@ -1,0 +1,187 @@
+"""Geometry: reduction of the volume, time, agreement of the two solvers, and the sensitivity studies of the paper.
+
+``python -m tests.benchmarks.bench_geometry [after_cco|solvers|scaling|sensitivity|branching|domains ...]`` prints
+tables; without arguments all but the largest of ``scaling``. Times are CPU seconds of one process.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from generator.config import load
+from generator.domain import Domain
+from generator.framework import Run
+from generator.geometry.admission import Admission
+from generator.geometry.full_space import solve_full
+from generator.geometry.optimise import optimise
+from generator.geometry.problem import Problem, Solution
+from generator.geometry.reduced import evaluate, solve_reduced
+from vascval.core.errors import ComputationError
+from vascval.core.ordering import generation
+from vascval.core.tree import Tree
+
+COLUMNS = Sequence[str]
+
+
+def made(n: int, *changes: str, seed: int = 1, preset: str = "karch-box") -> Run:
+    run = Run.of(load(preset, [f"n_terminals={n}", f"seed={seed}", *changes]))
+    for _ in run.steps():
+        pass
+    return run
+
+
+def grown(n: int, *, seed: int = 1, preset: str = "karch-box", changes: Sequence[str] = ()) -> tuple[Problem, Domain]:
+    """The geometry problem of a tree grown by CCO alone, under the defaults."""
+    run = made(n, *changes, seed=seed, preset=preset)
+    tree = run.growth.tree()
+    return Problem(tree.topology, tree.position_mm, run.config.flow(), run.config.physics()), run.domain
+
+
+def timed(solve: Callable[..., Solution], *given: object, **options: object) -> tuple[Solution, float]:
+    began = time.process_time()
+    found = solve(*given, **options)
+    return found, time.process_time() - began
+
+
+def less(solution: Solution, begin: Solution) -> str:
+    return f"{100 * (1 - solution.cost_mm3 / begin.cost_mm3):.2f}"
+
+
+def table(head: COLUMNS, rows: Sequence[COLUMNS]) -> str:
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *rows))
+
+
+def after_cco(counts: Sequence[int] = (500, 2000, 6000, 24_000), seeds: Sequence[int] = (1, 2, 3)) -> str:
+    """One geometry stage after growth: the programme alone, contracted to a fixed point, and with splits too."""
+    optimise(grown(60)[0])
+    rows = []
+    for n in counts:
+        for seed in seeds:
+            problem, _ = grown(n, seed=seed)
+            begin = evaluate(problem)
+            cells = [f"{n:,}", str(seed), f"{begin.cost_mm3:.1f}"]
+            for options in ({"contract": False}, {"splitting": False}, {}):
+                found, seconds = timed(optimise, problem, **options)
+                many = int((found.problem.topology.n_children[1:] > 2).sum())
+                cells += [less(found, begin), str(many), f"{seconds:.2f}"]
+            rows.append(cells)
+    kinds = ("programme", "contracted", "split")
+    head = [f"{kind}: {what}" for kind in kinds for what in ("less volume %", "multifurcations", "s")]
+    return table(["terminals", "seed", "CCO mm^3", *head], rows)
+
+
+def solvers(counts: Sequence[int] = (500, 2000, 6000), seeds: Sequence[int] = (1, 2, 3, 4, 5)) -> str:
+    """The same programme, with the paper's bound on lengths, by both solvers from the same start."""
+    rows = []
+    for n in counts:
+        for seed in seeds if n <= 2000 else seeds[:1]:
+            problem, _ = grown(n, seed=seed)
+            reduced, quick = timed(solve_reduced, problem)
+            full, slow = timed(solve_full, problem)
+            gap = abs(reduced.cost_mm3 / full.cost_mm3 - 1)
+            both = [f"{found.cost_mm3:.4f}" for found in (reduced, full)]
+            times = [f"{quick:.2f}", f"{slow:.2f}"]
+            rows.append([f"{n:,}", str(seed), *both, f"{gap:.1e}", f"{full.residual:.0e}", *times])
+    return table(["terminals", "seed", "reduced mm^3", "Ipopt mm^3", "apart", "forces, Ipopt", "s", "s, Ipopt"], rows)
+
+
+def scaling(counts: Sequence[int] = (1000, 6000, 24_000, 100_000)) -> str:
+    """Time of one programme, and of a step, against the number of terminals."""
+    solve_reduced(grown(60)[0])
+    rows = []
+    for n in counts:
+        problem, _ = grown(n)
+        begin = evaluate(problem)
+        found, seconds = timed(solve_reduced, problem)
+        step = 1e6 * seconds / found.n_iterations / n
+        rows.append([f"{n:,}", less(found, begin), str(found.n_iterations), f"{seconds:.2f}", f"{step:.3f}"])
+    return table(["terminals", "less volume %", "steps", "s", "us per step and terminal"], rows)
+
+
+def sensitivity(
+    n: int = 1000,
+    intervals: Sequence[int] = (1000, 500, 200, 100, 50, 20, 10, 5),
+    seeds: Sequence[int] = (1, 2, 3, 4, 5),
+) -> str:
+    """Final volume against how often the geometry is optimised during growth (the paper's study)."""
+    cco = np.mean([made(n, seed=seed).tree().volume_mm3 for seed in seeds])
+    rows = [["growth alone", "0", f"{cco:.1f}", "", ""]]
+    for every in intervals:
+        began = time.process_time()
+        runs = [made(n, "method=geometry", f"geometry.every={every}", seed=seed) for seed in seeds]
+        seconds = (time.process_time() - began) / len(seeds)
+        volume = np.mean([run.tree().volume_mm3 for run in runs])
+        solves = str(runs[0].stages[1].solves)
+        rows.append([str(every), solves, f"{volume:.1f}", f"{100 * (1 - volume / cco):.2f}", f"{seconds:.2f}"])
+    return table(["terminals between two", "optimisations", "mean mm^3", "less %", "s"], rows)
+
+
+def ratios(tree: Tree) -> dict[int, float]:
+    """Mean over the nodes at the end of segments of each generation: smallest over largest radius of the branches."""
+    rank, found = generation(tree.topology), {}
+    thinnest, thickest = np.full(tree.n_nodes, np.inf), np.zeros(tree.n_nodes)
+    np.minimum.at(thinnest, tree.parent[1:], tree.radius_mm[1:])
+    np.maximum.at(thickest, tree.parent[1:], tree.radius_mm[1:])
+    inner = tree.topology.n_children > 1
+    for k in range(1, int(rank.max()) + 1):
+        nodes = inner & (rank == k)
+        if nodes.any():
+            found[k] = float((thinnest[nodes] / thickest[nodes]).mean())
+    return found
+
+
+def branching(n: int = 6000, seeds: Sequence[int] = (1, 2, 3, 4, 5), *changes: str) -> str:
+    """Branching ratio per generation, CCO against optimised (mean of trees with seven generations or more)."""
+    kinds = {"CCO": "method=cco", "optimised after growth": "geometry.during_growth=false", "and during growth": ""}
+    rows = []
+    for kind, change in kinds.items():
+        more = [change] if change.startswith("method") else ["method=geometry", *filter(None, [change])]
+        means = [ratios(made(n, *more, *changes, seed=seed).tree()) for seed in seeds]
+        columns = [[mean[k] for mean in means if k in mean] for k in range(1, 8)]
+        rows.append([kind, *(f"{np.mean(column):.3f}" if column else "" for column in columns)])
+    return table(["branching ratio in generation", *map(str, range(1, 8))], rows)
+
+
+def domains(counts: Sequence[int] = (500, 2000)) -> str:
+    """What staying inside, and apart, costs: the optimum with it against the optimum without."""
+    cases = {
+        "horseshoe": ("portal-vein", ("domain.shape=horseshoe",)),
+        "liver": ("portal-vein", ("domain.shape=liver",)),
+        "box, apart": ("karch-box", ("growth.avoid_intersections=true",)),
+    }
+    rows = []
+    for name, (preset, changes) in cases.items():
+        for n in counts:
+            problem, domain = grown(n, preset=preset, changes=changes)
+            begin = evaluate(problem)
+            free, quick = timed(optimise, problem)
+            admission = Admission(domain, 1.0 if "apart" in name else 0.0)
+            try:
+                kept, slow = timed(optimise, problem, admission=admission)
+            except ComputationError as error:
+                rows.append([name, f"{n:,}", less(free, begin), str(error)[:40], "", "", "", ""])
+                continue
+            wrong = [int(admission.offending(found.problem, found.tree).sum()) for found in (free, kept)]
+            rows.append(
+                [name, f"{n:,}", less(free, begin), less(kept, begin), *map(str, wrong), f"{quick:.2f}", f"{slow:.2f}"]
+            )
+    head = ["less % without", "with", "offending without", "with", "s without", "with"]
+    return table(["domain", "terminals", *head], rows)
+
+
+TABLES: dict[str, Callable[..., str]] = {
+    function.__name__: function for function in (after_cco, solvers, scaling, sensitivity, branching, domains)
+}
+
+
+def main(names: Sequence[str]) -> None:
+    for name in names or TABLES:
+        print(f"\n### {name}\n\n{TABLES[name]()}", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,31 @@
+"""The benchmark of the geometry runs, at tiny sizes."""
+
+import pytest
+
+from tests.benchmarks import bench_geometry
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "rows"),
+    [
+        ("after_cco", {"counts": (40,), "seeds": (1, 2)}, 2),
+        ("solvers", {"counts": (40,), "seeds": (1,)}, 1),
+        ("scaling", {"counts": (40, 80)}, 2),
+        ("sensitivity", {"n": 60, "intervals": (30, 20), "seeds": (1,)}, 3),
+        ("branching", {"n": 60, "seeds": (1,)}, 3),
+        ("domains", {"counts": (40,)}, 3),
+    ],
+)
+def test_tables(name, arguments, rows):
+    lines = bench_geometry.TABLES[name](**arguments).splitlines()
+    assert len(lines) == rows + 2
+    assert len({line.count("|") for line in lines}) == 1
+
+
+def test_time_grows_linearly():
+    problems = [bench_geometry.grown(n)[0] for n in (1500, 6000)]
+    found = [min((bench_geometry.timed(bench_geometry.solve_reduced, p) for _ in range(2)), key=lambda f: f[1])
+             for p in problems]  # fmt: skip
+    per_step = [seconds / solution.n_iterations for solution, seconds in found]
+    # four times the nodes: 4 if linear; beyond 8 something looks at all pairs, below 2 the clock is at fault
+    assert 2.0 < per_step[1] / per_step[0] < 8.0
