@@ -213,7 +213,7 @@ def test_json_is_the_document_with_provenance(report, comparison):
 def test_numbers_of_the_page_are_those_of_the_analysis(report, comparison):
     text = re.sub(r"\s+", " ", page(report).text)
     total = comparison.cast.summary
-    assert f"cast: {total['n_terminals']} terminals in 4 generations" in text
+    assert f"{total['n_terminals']} terminals in 4 generations" in text
     assert f"matched down to generation {comparison.location[1].matched_down_to_generation}" in text
 
 

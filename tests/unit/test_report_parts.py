@@ -52,8 +52,9 @@ def test_spread_and_several():
 
 
 def test_labels_tell_sources_apart():
-    labels = [one.label for one in style.styled("cast.nii.gz", ["a/tree.vtp", "b/tree.vtp", "b/tree.swc"], "table.csv")]
-    assert labels == ["cast", "a/tree", "b/tree", "b/tree (2)", "table"]
+    trees = ["a/tree.vtp", "b/tree.vtp", "b/tree.swc", "twice.vtp", "twice.vtp"]
+    labels = [one.label for one in style.styled("cast.nii.gz", trees, "table.csv")]
+    assert labels == ["cast", "a/tree", "b/tree.vtp", "b/tree.swc", "twice.vtp", "twice.vtp (2)", "table"]
 
 
 def test_trees_differ_in_colour_marker_and_dash():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,7 @@ def location(subject: Subject, comparison: Comparison, figures: Path) -> Section
         "laid at random into the same tissue would show: only what exceeds it says anything."
     )
     blocks: list[Any] = [Text(words)]
+    blocks += [Text(note) for note in comparison.notes if any(side.source in note for side in subject.trees)]
     blocks += [Text(_depth(place, side)) for place, side in zip(comparison.location, subject.trees)]
     caption = "Length matched, and mean distance of the centrelines of like generation with the tolerance as a line."
     blocks.append(Figure(caption, panels.location(comparison.location, subject.trees, subject.first, figures)))
@@ -105,7 +107,7 @@ def _depth(place: Location, side: Side) -> str:
 
 
 def _location_table(place: Location, side: Side, way: str) -> Table:
-    columns = [
+    columns: list[tuple[str, str, Callable[[Any], str]]] = [
         (f"{way}_length_mm", "length (mm)", measure),
         (f"{way}_matched_share", "matched", percent),
         *([("cast_chance_share", "matched by chance", percent)] if way == "cast" else []),

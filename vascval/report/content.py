@@ -6,7 +6,7 @@ from pathlib import Path
 
 from vascval.report import comparison_sections, order_sections, origin_sections, tree_sections
 from vascval.report.page import Section
-from vascval.report.subject import Subject
+from vascval.report.subject import Side, Subject
 from vascval.report.swatches import Swatch, swatch
 
 
@@ -26,10 +26,13 @@ def legend(subject: Subject) -> list[Swatch]:
     """What each colour, line and marker stands for; none where there is only one tree."""
     if subject.comparison is None:
         return []
-    return [
-        swatch(side.series, side.short if side.analysis is not None else f"{side.short}, published table")
-        for side in subject.sides
-    ]
+    return [swatch(side.series, _role(side)) for side in subject.sides]
+
+
+def _role(side: Side) -> str:
+    if side.analysis is not None:
+        return side.short
+    return "published table" if side.short == "table" else f"{side.short}: a published table"
 
 
 def sections(subject: Subject, figures: Path) -> list[Section]:

@@ -60,6 +60,10 @@ def _indexed(frame: pd.DataFrame, ordering: str) -> dict[int, dict[str, Any]]:
 def horton(subject: Subject) -> Section:
     if not subject.measured:
         return Section("horton", "Horton ratios and connectivity", [Text("There is no measured tree.", "empty")])
+    explained = Text(
+        "Connectivity: the number of elements of order m (rows) that spring from one element of order n (columns), "
+        "mean ± standard error."
+    )
     words = Text(
         "A Horton ratio is the factor from order to order, by regression over the orders of the elements; it is fitted "
         "over all orders and without the highest, whose single element is cut off where the tree begins."
@@ -70,7 +74,7 @@ def horton(subject: Subject) -> Section:
         for side, analysis in subject.measured
         if (analysis.connectivity["ordering"] == ordering).any()
     ]
-    return Section("horton", "Horton ratios and connectivity", [words, _horton_table(subject), *matrices])
+    return Section("horton", "Horton ratios and connectivity", [words, _horton_table(subject), explained, *matrices])
 
 
 def _horton_table(subject: Subject) -> Table:
@@ -105,11 +109,8 @@ def _matrix(label: str, frame: pd.DataFrame, ordering: str, words: str) -> Table
         [Cell(str(m), "head"), *(Cell(_mean(mean.at[m, n], error.at[m, n]) if m <= n else "") for n in mean.columns)]
         for m in mean.index
     ]
-    caption = (
-        f"Connectivity of {label}, {words} orders: elements of order m (rows) that spring from one element of order n "
-        "(columns), mean ± standard error."
-    )
-    return Table(caption, [head], body, "tables/connectivity.csv")
+    caption = f"{label}, {words} orders."
+    return Table(caption, [head], body, "tables/connectivity.csv", small=True)
 
 
 def _mean(mean: Any, error: Any) -> str:

@@ -145,7 +145,7 @@ def _positions(caption: str, places: np.ndarray, none: str) -> Table | Text:
 
 
 def notes(subject: Subject) -> Section:
-    """What was assumed, found or left out: guesses of the readers and notes of the analyses."""
+    """What was assumed, found or left out: guesses of the readers, notes of the analyses and of the comparison."""
     blocks: list[Any] = []
     for side, analysis in subject.measured:
         said = [f"assumed: {text}" for text in analysis.tree.meta.get("guesses", ())]
@@ -153,6 +153,8 @@ def notes(subject: Subject) -> Section:
         said += analysis.notes
         if said:
             blocks += [Text(f"{side.label}:"), Items(said)]
+    if subject.comparison is not None and subject.comparison.notes:
+        blocks += [Text("Comparison:"), Items(subject.comparison.notes)]
     return Section("notes", "Notes", blocks or [Text("There is nothing to note.", "empty")])
 
 

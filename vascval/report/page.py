@@ -21,12 +21,16 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """``head`` and ``body`` rows of cells; ``csv`` names the file with the numbers in full."""
+    """``head`` and ``body`` rows of cells; ``csv`` names the file with the numbers in full.
+
+    ``small`` tables stand side by side where there is room.
+    """
 
     caption: str
     head: Sequence[Sequence[Cell]]
     body: Sequence[Sequence[Cell]]
     csv: str = ""
+    small: bool = False
     kind: str = "table"
 
 
@@ -81,9 +85,10 @@ class Text:
 
 @dataclass(frozen=True)
 class Items:
-    """A list; entries are texts, or pairs of a term and its explanation."""
+    """A list; entries are texts, or pairs of a term and its explanation. ``look`` as of :class:`Text`."""
 
     entries: Sequence[Any]
+    look: str = ""
     kind: str = "items"
 
 

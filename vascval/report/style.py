@@ -106,14 +106,15 @@ def _stem(name: str) -> str:
 def styled(cast: str, trees: Sequence[str], reference: str | None = None) -> list[Series]:
     """Labels and looks of the cast, the trees and a published reference (if any), in that order.
 
-    Sources of one name are told apart by their folders, those that are the same even so by a number.
+    Sources of one name are told apart by folders and suffixes, those that are the same even so by a number.
     """
     wanted: list[tuple[str, str, Any]] = [("cast", cast, CAST)]
     wanted += [("tree", name, TREES[i % len(TREES)]) for i, name in enumerate(trees)]
     if reference is not None:
         wanted.append(("reference", reference, REFERENCE))
     labels = [short_name(source) for _, source, _ in wanted]
-    labels = [_stem(source) if labels.count(label) > 1 else label for label, (_, source, _) in zip(labels, wanted)]
+    for longer in (_stem, str):
+        labels = [longer(source) if labels.count(label) > 1 else label for label, (_, source, _) in zip(labels, wanted)]
     series = []
     for k, (role, _, look) in enumerate(wanted):
         before = labels[:k].count(labels[k])

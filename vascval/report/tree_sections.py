@@ -8,10 +8,10 @@ from typing import Any
 
 import pandas as pd
 
-from vascval.comparison import Comparison
+from vascval.comparison import Location
 from vascval.report import panels
 from vascval.report.formats import NONE, THIN, change, count, measure, missing, percent, several, spread
-from vascval.report.page import Cell, Figure, Section, Table, Text
+from vascval.report.page import Cell, Figure, Items, Section, Table, Text
 from vascval.report.subject import Side, Subject
 
 Format = Callable[[Any], str]
@@ -45,48 +45,41 @@ _COVERAGE: tuple[tuple[str, str], ...] = (
 
 
 def summary(subject: Subject) -> Section:
-    blocks: list[Any] = [Text(sentence, "lead") for sentence in _headline(subject)]
+    """What there is in a few sentences, and the totals side by side."""
+    blocks: list[Any] = [Items([(side.label, _headline(subject, side)) for side in subject.sides], "lead")]
     if subject.measured:
         blocks.append(_totals(subject))
-    if subject.comparison is not None:
-        blocks += [Text(note, "note") for note in subject.comparison.notes]
     return Section("summary", "Summary", blocks)
 
 
-def _headline(subject: Subject) -> list[str]:
-    said = []
-    for side, analysis in subject.measured:
-        total = analysis.summary
-        said.append(
-            f"{side.label}: {several(total['n_terminals'], 'terminal')} in "
-            f"{several(len(analysis.generations), 'generation')}, "
-            f"{measure(total['total_length_mm'])}{THIN}mm of vessels, {measure(total['volume_mm3'])}{THIN}mm³; "
-            f"{several(total['n_trifurcations'], 'trifurcation')} and "
-            f"{several(total['n_monopodial'], 'monopodial branch', 'es')} at "
-            f"{several(len(analysis.junctions), 'junction')}."
-        )
-    said += [
-        f"{side.label}: a published table of {len(side.generations)} generations."
-        for side in subject.sides
-        if side.analysis is None
-    ]
-    sentences = [" ".join(said)]
-    if subject.comparison is not None and subject.comparison.location:
-        sentences.append(" ".join(_place(subject.comparison, k, side) for k, side in enumerate(subject.trees)))
-    return sentences
+def _headline(subject: Subject, side: Side) -> str:
+    if side.analysis is None:
+        return f"A published table of {several(len(side.generations), 'generation')}."
+    total = side.analysis.summary
+    said = (
+        f"{several(total['n_terminals'], 'terminal')} in {several(len(side.generations), 'generation')}, "
+        f"{measure(total['total_length_mm'])}{THIN}mm of vessels, {measure(total['volume_mm3'])}{THIN}mm³; "
+        f"{several(total['n_trifurcations'], 'trifurcation')} and "
+        f"{several(total['n_monopodial'], 'monopodial branch', 'es')} at "
+        f"{several(len(side.analysis.junctions), 'junction')}."
+    )
+    if side in subject.trees and subject.comparison is not None and subject.comparison.location:
+        said += f" {_place(subject.comparison.location[subject.trees.index(side)])}"
+    return said
 
 
-def _place(comparison: Comparison, index: int, side: Side) -> str:
-    place = comparison.location[index]
+def _place(place: Location) -> str:
     rows = place.generations
     length = rows["cast_length_mm"].sum()
-    hit = (rows["cast_matched_share"] * rows["cast_length_mm"]).sum() / length if length > 0 else float("nan")
-    by_chance = (rows["cast_chance_share"] * rows["cast_length_mm"]).sum(min_count=1) / length if length > 0 else None
+    hit, by_chance = (
+        (rows[name] * rows["cast_length_mm"]).sum(min_count=1) / length if length > 0 else None
+        for name in ("cast_matched_share", "cast_chance_share")
+    )
     down_to = place.matched_down_to_generation
     depth = f"it is matched down to generation {down_to}" if down_to else "not even its first generation is matched"
     return (
-        f"Of the cast's length {percent(hit)} lies on {side.label} (within {measure(place.rule.tolerance_mm)}{THIN}mm "
-        f"or the local radius, like generations), where a cast laid at random would show {percent(by_chance)}; {depth}."
+        f"Of the cast's length {percent(hit)} lies on it (within {measure(place.rule.tolerance_mm)}{THIN}mm or the "
+        f"local radius, like generations), where a cast laid at random would show {percent(by_chance)}; {depth}."
     )
 
 
