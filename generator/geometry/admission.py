@@ -3,7 +3,8 @@
 The cost knows neither. From a tree that is admissible, each node goes as far towards its optimum as it may: nodes of
 offending segments go back, half of the way again and again, until nothing offends; then the others are optimised once
 more with those held, and so on. Where every node is back, the tree is the one that it began with, so that this always
-ends in an admissible tree. It gives up the optimum at the held nodes, which do not slide along the wall.
+ends in an admissible tree. Then all are released and it begins anew from there, while that pays: nodes creep along the
+wall that way. It is a heuristic: what it ends in need not be the constrained optimum.
 """
 
 from __future__ import annotations
@@ -21,8 +22,11 @@ from generator.geometry.reduced import evaluate
 from vascval.core.errors import ComputationError
 from vascval.core.tree import Tree
 
-_ROUNDS = 8
+_SWEEPS = 10
+_ROUNDS = 10
 _HALVINGS = 6
+_WORTH = 1e-4
+"""Smallest relative gain of a sweep for which there is another."""
 
 
 @dataclass(frozen=True)
@@ -70,22 +74,31 @@ def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], 
             f"{bad.size} segments leave the domain or overlap others before the geometry is optimised (first: segment "
             f"{bad[0]}); grow the tree inside the domain, without intersections if they are to be avoided"
         )
-    best, steps = begin, optimum.n_iterations
-    for _ in range(_ROUNDS):
-        share = _retreat(problem.at(best.position_mm), optimum, admission)
-        position = best.position_mm + share[:, None] * (optimum.position_mm - best.position_mm)
-        found = evaluate(problem.at(position))
-        if not found.cost_mm3 < best.cost_mm3:
+    best, steps = begin, 0
+    for sweep in range(_SWEEPS):
+        target = optimum if sweep == 0 else solve(replace(problem, position_mm=best.position_mm, pull=best.pull))
+        found = _sweep(problem.at(best.position_mm), target, admission, solve)
+        steps += found.n_iterations
+        gain = 1.0 - found.cost_mm3 / best.cost_mm3
+        if gain > 0.0:
+            best = found
+        if gain < _WORTH:
             break
-        best = found
-        if (share == 1.0).all():
-            best = replace(found, residual=optimum.residual, pull=optimum.pull)
-            break
-        held = problem.held | (share < 1.0)
-        again = solve(replace(problem, position_mm=position, held=held, pull=optimum.pull))
-        steps += again.n_iterations
-        optimum = again
     return replace(best, problem=problem, n_iterations=steps)
+
+
+def _sweep(problem: Problem, target: Solution, admission: Admission, solve: Callable[[Problem], Solution]) -> Solution:
+    """From an admissible start towards the optimum; nodes that cannot follow are held, the others optimised again."""
+    position, held, steps = problem.position_mm, problem.held, target.n_iterations
+    for _ in range(_ROUNDS):
+        share = _retreat(problem.at(position), target, admission)
+        position = position + share[:, None] * (target.position_mm - position)
+        if (share == 1.0).all():
+            break
+        held = held | (share < 1.0)
+        target = solve(replace(problem, position_mm=position, held=held, pull=target.pull))
+        steps += target.n_iterations
+    return replace(evaluate(problem.at(position), pull=target.pull), n_iterations=steps)
 
 
 def _retreat(problem: Problem, optimum: Solution, admission: Admission) -> np.ndarray:
