@@ -1,0 +1,151 @@
+"""Moves from topology to topology, and the places of the bifurcations they concern."""
+
+import numpy as np
+
+from generator.topology._state_kernels import child_slope, distance, refresh, relength, save
+from vascval.core.jit import njit
+
+
+@njit
+def fermat(a, b, c, wa, wb, wc):
+    """Weighted Fermat point of three nodes, and whether it falls on one of them.
+
+    In the triangle whose sides are the weights, of angles ``theta``, the point has barycentric coordinates
+    proportional to ``w_i d_jk / sin(alpha_i + theta_i)``, ``alpha`` being the angles of the triangle of nodes; a sine
+    that is not positive means node ``i``. Both factors follow from the squares of the sides without trigonometry.
+    """
+    product = (wa + wb + wc) * (wb + wc - wa) * (wa + wc - wb) * (wa + wb - wc)
+    if product <= 0.0:
+        if wa >= wb and wa >= wc:
+            return a.x, a.y, a.z, True
+        if wb >= wc:
+            return b.x, b.y, b.z, True
+        return c.x, c.y, c.z, True
+    ab = (a.x - b.x) ** 2 + (a.y - b.y) ** 2 + (a.z - b.z) ** 2
+    ac = (a.x - c.x) ** 2 + (a.y - c.y) ** 2 + (a.z - c.z) ** 2
+    bc = (b.x - c.x) ** 2 + (b.y - c.y) ** 2 + (b.z - c.z) ** 2
+    area_w = np.sqrt(product)
+    area = np.sqrt(max(4.0 * ab * ac - (ab + ac - bc) ** 2, 0.0))
+    ka = (ab + ac - bc) * area_w + (wb * wb + wc * wc - wa * wa) * area
+    kb = (ab + bc - ac) * area_w + (wa * wa + wc * wc - wb * wb) * area
+    kc = (ac + bc - ab) * area_w + (wa * wa + wb * wb - wc * wc) * area
+    if ka <= 0.0:
+        return a.x, a.y, a.z, True
+    if kb <= 0.0:
+        return b.x, b.y, b.z, True
+    if kc <= 0.0:
+        return c.x, c.y, c.z, True
+    fa, fb, fc = kb * kc, ka * kc, ka * kb
+    scale = 1.0 / (fa + fb + fc)
+    fa, fb, fc = fa * scale, fb * scale, fc * scale
+    return (
+        fa * a.x + fb * b.x + fc * c.x,
+        fa * a.y + fb * b.y + fc * c.y,
+        fa * a.z + fb * b.z + fc * c.z,
+        False,
+    )
+
+
+@njit
+def settle(state, i, d_rho, d_v, rounds):
+    """Put bifurcation ``i`` where the three segments balance, given dC/drho and dC/dv of the one that feeds it.
+
+    The node and its two children are brought up to date, nothing above.
+    """
+    r = state.node[i]
+    save(state, i)
+    save(state, r.first)
+    save(state, r.second)
+    p, c, d = state.node[r.parent], state.node[r.first], state.node[r.second]
+    relength(state, r.first)
+    relength(state, r.second)
+    for _ in range(rounds):
+        refresh(state, i)
+        c_rho, c_v = child_slope(d_rho, d_v, r.s_sum, r.a, r.base_v, c.rho, c.v, c.q)
+        e_rho, e_v = child_slope(d_rho, d_v, r.s_sum, r.a, r.base_v, d.rho, d.v, d.q)
+        x, y, z, corner = fermat(p, c, d, r.n * d_rho + d_v, c.n * c_rho + c_v, d.n * e_rho + e_v)
+        part = 0.9 if corner else 1.0
+        r.x += part * (x - r.x)
+        r.y += part * (y - r.y)
+        r.z += part * (z - r.z)
+        relength(state, r.first)
+        relength(state, r.second)
+        r.length = distance(r, p)
+    refresh(state, i)
+
+
+@njit
+def sibling(state, i):
+    p = state.node[state.node[i].parent]
+    return p.second if p.first == i else p.first
+
+
+@njit
+def replace(state, parent, old, new):
+    """``new`` takes the place of ``old`` below ``parent``."""
+    save(state, parent)
+    save(state, new)
+    r = state.node[parent]
+    if r.first == old:
+        r.first = new
+    else:
+        r.second = new
+    state.node[new].parent = parent
+
+
+@njit
+def is_below(state, i, top):
+    """Whether node ``i`` is ``top`` or lies below it."""
+    while i >= state.n_fixed:
+        if i == top:
+            return True
+        i = state.node[i].parent
+    return False
+
+
+@njit
+def may_graft(state, s, t):
+    """Whether cutting ``s`` off and grafting it on segment ``t`` makes another tree."""
+    p = state.node[s].parent
+    return p >= state.n_fixed and t != p and state.node[t].parent != p and not is_below(state, t, s)
+
+
+@njit
+def graft(state, s, t, x, y, z):
+    """Cut off segment ``s`` together with its proximal node, which is put at a point on segment ``t``.
+
+    Returns the proximal node that is left behind, from which the tree has to be brought up to date.
+    """
+    p = state.node[s].parent
+    other = sibling(state, s)
+    g = state.node[p].parent
+    replace(state, g, p, other)
+    relength(state, other)
+    u = state.node[t].parent
+    replace(state, u, t, p)
+    replace(state, p, other, t)
+    r = state.node[p]
+    r.x, r.y, r.z = x, y, z
+    r.length = distance(r, state.node[u])
+    return g
+
+
+@njit
+def may_swap(state, a, b):
+    """The paper's filters: no cycle, and no new segment twice as long as it was."""
+    p, q = state.node[a].parent, state.node[b].parent
+    if p == q or p < state.n_fixed or q < state.n_fixed:
+        return False
+    if distance(state.node[a], state.node[q]) >= 2.0 * state.node[a].length:
+        return False
+    if distance(state.node[b], state.node[p]) >= 2.0 * state.node[b].length:
+        return False
+    return not (is_below(state, a, b) or is_below(state, b, a))
+
+
+@njit
+def swap(state, a, b):
+    """Exchange the proximal nodes of two segments."""
+    p, q = state.node[a].parent, state.node[b].parent
+    replace(state, p, a, b)
+    replace(state, q, b, a)
