@@ -6,9 +6,9 @@ arguments all of them. The rivals' figures were measured once, on a machine of 2
 
 from __future__ import annotations
 
+import argparse
 import os
 import resource
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -162,11 +162,17 @@ TABLES: dict[str, Callable[[], str]] = {
 }  # fmt: skip
 
 
-def main(names: Sequence[str]) -> None:
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Benchmarks of growth, as tables.")
+    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"which ({', '.join(TABLES)}); all by default")
+    names = parser.parse_args().tables
+    unknown = sorted(set(names) - set(TABLES))
+    if unknown:
+        parser.error(f"no table is named {unknown[0]}; the tables are {', '.join(TABLES)}")
     grow(30)  # compiles, or loads what is compiled
     for name in names or TABLES:
         print(f"\n## {name}\n\n{TABLES[name]()}", flush=True)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -249,8 +249,8 @@ def test_interrupted_growth_is_kept(tmp_path, capsys, monkeypatch):
 
     steps = Growth.steps
 
-    def interrupted(growth):
-        for step in steps(growth):
+    def interrupted(growth, *arguments, **options):
+        for step in steps(growth, *arguments, **options):
             yield step
             if step.n_terminals >= 100:
                 raise KeyboardInterrupt

@@ -160,7 +160,7 @@ def test_debug_shows_the_traceback(place, monkeypatch, capsys):
 
 
 def test_notes_are_silenced(monkeypatch, capsys):
-    monkeypatch.setattr("vascval.io.schemas.names", lambda: console.note("mind this") or ["one"])
+    monkeypatch.setattr("vascval.cli.schema.names", lambda: console.note("mind this") or ["one"])
     assert main(["schema"]) == 0
     assert capsys.readouterr() == ("one\n", "vascval: note: mind this\n")
     assert main(["schema", "--quiet"]) == 0
@@ -172,7 +172,7 @@ def test_no_bars_where_stderr_is_no_terminal(monkeypatch, capsys):
         with console.progress() as observer:
             return [str(observer)]
 
-    monkeypatch.setattr("vascval.io.schemas.names", names)
+    monkeypatch.setattr("vascval.cli.schema.names", names)
     assert main(["schema"]) == 0
     assert capsys.readouterr() == ("None\n", "")
 

@@ -115,6 +115,7 @@ def skeletonize(
         "bump_mm": tips.bump_mm,
         "voxel_mm": volume.spacing_mm.tolist(),
         "selection": selection.rule,
+        "notes": list(volume.meta.get("notes", ())),
     }
     frame = Volume(np.zeros((1, 1, 1), dtype=np.uint8), volume.spacing_mm, volume.origin_mm, volume.direction)
     loops_mm = world(drawn.skeleton.voxel[drawn.loops.cuts[:, 0]])
