@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from generator.geometry.problem import Physics
 from generator.growth.growth import GrowthOptions
 from generator.haemodynamics import Perfusion
+from generator.topology.annealing import AnnealingOptions
 from vascval.core.errors import InputError
 from vascval.core.units import MM3_S_PER_ML_MIN, PA_PER_MMHG, PA_S_PER_CP
 
@@ -103,6 +104,21 @@ class GeometryConfig(_Model):
         return max(1, min(self.every_at_most, self.every * max(1000, n_terminals) // 1000))
 
 
+class TopologyConfig(_Model):
+    """How topologies are searched, see :class:`generator.topology.annealing.AnnealingOptions`."""
+
+    at: int = Field(default=500, ge=1, description="terminals at which growth pauses for it")
+    tests: int = Field(default=300_000, ge=1, description="topologies tried by each chain")
+    chains: int = Field(default=2, ge=1, description="independent searches, of which the best counts")
+    heat: float = Field(default=0.6, gt=0.0, description="start temperature, in median rises of the cost by a move")
+    cooling: float = Field(default=50.0, ge=1.0, description="start over end temperature")
+    swaps: float = Field(default=0.2, ge=0.0, le=1.0, description="share of swaps among the moves")
+
+    def options(self) -> AnnealingOptions:
+        """What the search takes."""
+        return AnnealingOptions(self.tests, self.heat, self.cooling, self.swaps, self.chains)
+
+
 class Config(_Model):
     """Everything that decides a tree."""
 
@@ -128,11 +144,12 @@ class Config(_Model):
     perfusion: PerfusionConfig
     growth: GrowthConfig = GrowthConfig()
     geometry: GeometryConfig = GeometryConfig()
+    topology: TopologyConfig = TopologyConfig()
 
     @model_validator(mode="after")
     def _available(self) -> Config:
-        if self.method == "full":
-            raise ValueError("method=full is not available in this version; use method=cco or method=geometry")
+        if self.method == "full" and self.growth.avoid_intersections:
+            raise ValueError("method=full lets vessels overlap; use method=geometry where they must not")
         if self.viscosity != "constant" and self.method == "cco":
             raise ValueError(f"growth alone knows constant viscosity; viscosity={self.viscosity} needs method=geometry")
         if self.root_tree is not None and self.root_mm is not None:

@@ -17,6 +17,7 @@ from generator.geometry.stage import GeometryStage
 from generator.growth.growth import Growth, Step
 from generator.growth.insertion_order import spread_order
 from generator.growth.root_tree import RootTree
+from generator.topology.stage import TopologyStage
 from vascval.core.errors import InputError
 from vascval.core.tree import Tree
 from vascval.io.trees import read_tree
@@ -24,12 +25,14 @@ from vascval.io.trees import read_tree
 
 @dataclass
 class Stage:
-    """A stage that was run: its name, seconds of wall time, volume of the tree after it, optimisations solved."""
+    """A stage that was run: its name, seconds of wall time, volume of the tree after it; optimisations solved and
+    topologies tried, where that is what it does."""
 
     name: str
     seconds: float
     volume_mm3: float
     solves: int | None = None
+    tests: int | None = None
 
 
 @dataclass
@@ -55,32 +58,62 @@ class Run:
         return cls(config, domain, growth)
 
     def steps(self) -> Iterator[tuple[str, Step]]:
-        """The name of the stage and where it stands, again and again until all is done."""
-        growth, geometry = Stage("growth", 0.0, 0.0), Stage("geometry", 0.0, 0.0)
-        optimised = self.config.method == "geometry"
-        self.stages += [growth, geometry] if optimised else [growth]
-        options, target = self.config.geometry, self.growth.n_terminals
+        """The name of the stage and where it stands, again and again until all is done (Algorithm 1 of the paper)."""
+        full, optimised = self.config.method == "full", self.config.method != "cco"
+        growth, topology, geometry = (Stage(name, 0.0, 0.0) for name in ("growth", "topology", "geometry"))
+        self.stages += [growth, *([topology] if full else []), *([geometry] if optimised else [])]
+        target = self.growth.n_terminals
+        searched = not full
         while True:
-            during = optimised and self.geometry.during_growth
-            until = min(target, self.growth.n_grown + options.interval(self.growth.n_grown)) if during else target
+            until = min(target, self._pause(searched))
             began = time.perf_counter()
             for step in self.growth.steps(until):
                 yield growth.name, step
                 now = time.perf_counter()
                 growth.seconds, growth.volume_mm3, began = growth.seconds + now - began, step.volume_mm3, now
-            if until == target or self.growth.stopped_at_thinnest:
+            done = until == target or self.growth.stopped_at_thinnest
+            if done or not searched:
+                growth.volume_mm3 = self.growth.tree().volume_mm3
+            if not searched:
+                yield from self._search(topology)
+                searched = True
+            elif not done:
+                parent, position = self.growth.snapshot()
+                self.growth.put(parent, self.geometry.relax(parent, position))
+                geometry.seconds += time.perf_counter() - began
+            if done:
                 break
-            parent, position = self.growth.snapshot()
-            self.growth.put(parent, self.geometry.relax(parent, position))
-            geometry.seconds += time.perf_counter() - began
-        growth.volume_mm3 = self.tree().volume_mm3
         if optimised:
-            yield geometry.name, Step(0, 1, growth.volume_mm3)
+            yield geometry.name, Step(0, 1, self.growth.volume_mm3)
             began = time.perf_counter()
             self._optimised = self.geometry.finish(*self.growth.snapshot()).tree
             geometry.seconds += time.perf_counter() - began
             geometry.volume_mm3, geometry.solves = self._optimised.volume_mm3, self.geometry.solves
             yield geometry.name, Step(1, 1, geometry.volume_mm3)
+
+    def _pause(self, searched: bool) -> int:
+        """The number of terminals at which growth pauses next."""
+        if not searched:
+            return self.config.topology.at
+        if self.config.method == "cco" or not self.geometry.during_growth:
+            return self.growth.n_terminals
+        return self.growth.n_grown + self.config.geometry.interval(self.growth.n_grown)
+
+    def _search(self, stage: Stage) -> Iterator[tuple[str, Step]]:
+        """The topology of the tree as it is now; what was found stays when the search is left off."""
+        began = time.perf_counter()
+        try:
+            for step in self.topology.search(*self.growth.snapshot()):
+                stage.seconds, stage.volume_mm3 = time.perf_counter() - began, step.best_mm3
+                yield stage.name, Step(step.n_tests, step.n_target, step.best_mm3)
+        finally:
+            self.growth.put(*self.topology.best())
+            stage.seconds, stage.tests = time.perf_counter() - began, self.topology.tests
+            stage.volume_mm3 = self.growth.tree().volume_mm3
+
+    @cached_property
+    def topology(self) -> TopologyStage:
+        return TopologyStage(self.config, self.domain, self.growth.root_tree, self.growth.rng)
 
     @cached_property
     def geometry(self) -> GeometryStage:

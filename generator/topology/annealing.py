@@ -92,6 +92,7 @@ class Annealing:
             self.cost = self._polish(3.0)
         self._best, self._best_cost = self.tree.state.node.copy(), self.cost
         self._nearby = self._grid()
+        self.n_tests = 0
 
     @property
     def best_mm3(self) -> float:
@@ -126,6 +127,7 @@ class Annealing:
             self.cost = kernels.relax_inside(state, flat, self.space, self._eps, 1, self.cost)
             self._note()
             done += count
+            self.n_tests = done
             volume = self.tree.volume_mm3(self.cost)
             accepted = int(tally[:, kernels.ACCEPTED].sum())
             yield AnnealingStep(done, options.tests, accepted, temperature, volume, self.best_mm3)

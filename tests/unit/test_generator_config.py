@@ -63,7 +63,7 @@ def test_a_file_is_read_and_its_paths_are_relative_to_it(tmp_path):
         (["gamma=4"], "gamma: input should be less than or equal to 3"),
         (["gamma=nan"], "gamma: input should be"),
         (["root_mm=1,2"], "root_mm.2 is missing|root_mm"),
-        (["method=full"], "method=full is not available in this version; use method=cco"),
+        (["method=full", "growth.avoid_intersections=true"], "method=full lets vessels overlap; use method=geometry"),
         (["viscosity=fahraeus-lindqvist"], "growth alone knows constant viscosity"),
         (["n_terminals"], "--set n_terminals: is not key=value"),
         (["seed.x=1"], "--set seed.x=1: seed is a value, not a table"),

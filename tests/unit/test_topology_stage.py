@@ -1,0 +1,51 @@
+"""Algorithm 1 as a whole: growth, topology, growth on with geometry, geometry."""
+
+import numpy as np
+import pytest
+
+from generator.config import load
+from generator.framework import Run
+
+
+def made(*changes):
+    run = Run.of(load("karch-box", ["n_terminals=60", "topology.tests=2000", "topology.at=40", *changes]))
+    return run, list(run.steps())
+
+
+def test_stages_in_order():
+    run, steps = made("method=full", "geometry.every=10")
+    assert [stage.name for stage in run.stages] == ["growth", "topology", "geometry"]
+    assert run.stages[1].tests == 4000
+    assert run.stages[2].solves == 2  # at 50 terminals and at the end
+    assert list(dict.fromkeys(name for name, _ in steps)) == ["growth", "topology", "geometry"]
+    assert run.tree().topology.n_terminals == 60
+    assert run.topology.history[-1].n_tests == 2000
+
+
+def test_volume_falls_from_method_to_method():
+    volume = {method: made(f"method={method}", "topology.at=60")[0].tree().volume_mm3 for method in ("cco", "geometry")}
+    run, _ = made("method=full", "topology.at=60")
+    volume["full"] = run.tree().volume_mm3
+    # three to ten per cent of one another at this size
+    assert 0.75 * volume["cco"] < volume["full"] < volume["geometry"] < volume["cco"]
+    assert run.stages[1].volume_mm3 < run.stages[0].volume_mm3
+
+
+def test_the_same_tree_for_a_seed():
+    trees = [made("method=full", "seed=3")[0].tree() for _ in range(2)]
+    np.testing.assert_array_equal(trees[0].parent, trees[1].parent)
+    np.testing.assert_array_equal(trees[0].position_mm, trees[1].position_mm)
+
+
+def test_interrupted_search_keeps_what_it_found():
+    run = Run.of(load("karch-box", ["n_terminals=30", "method=full", "topology.tests=5000"]))
+    found = None
+    steps = run.steps()
+    for name, step in steps:
+        if name == "topology" and step.n_terminals >= 3000:
+            found = step.volume_mm3
+            break
+    steps.close()
+    assert found is not None
+    # the volume shown is that of the best tree at that step; reading it back rounds
+    assert run.tree().volume_mm3 == pytest.approx(found, rel=1e-9)
