@@ -74,6 +74,8 @@ def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], 
             f"{bad.size} segments leave the domain or overlap others before the geometry is optimised (first: segment "
             f"{bad[0]}); grow the tree inside the domain, without intersections if they are to be avoided"
         )
+    if not admission.offending(problem, optimum.tree).any():
+        return optimum
     best, steps = begin, 0
     for sweep in range(_SWEEPS):
         target = optimum if sweep == 0 else solve(replace(problem, position_mm=best.position_mm, pull=best.pull))
