@@ -68,5 +68,5 @@ def bump_voxels(persistence: np.ndarray) -> float:
     number falls to ``DECAY`` with each half voxel at the most (0.35 to 0.45 on phantoms with rough walls of several
     correlation lengths); of n of them ``n DECAY / (1 - DECAY) DECAY^(2 (p - 1))`` stick out by more than p.
     """
-    n = np.count_nonzero((persistence > 0.5) & (persistence <= 1.0))
-    return 1.0 + max(0.0, 0.5 * float(np.log(max(n, 1) * DECAY / (1.0 - DECAY)) / -np.log(DECAY)))
+    n = max(1, int(np.count_nonzero((persistence > 0.5) & (persistence <= 1.0))))
+    return 1.0 + max(0.0, 0.5 * float(np.log(n * DECAY / (1.0 - DECAY)) / -np.log(DECAY)))
