@@ -25,7 +25,9 @@ from generator.topology.state import SearchTree
 from vascval.core.errors import InputError
 
 _BLOCK = 500
-"""Tests at one temperature, after which the tree is relaxed and proposals are drawn from its new shape."""
+_BLOCK_PER_TERMINAL = 4
+"""Tests at one temperature, after which the tree is relaxed, compared with the best, and proposals are drawn from its
+new shape: so many, but at most so many for each terminal."""
 _SAMPLES = 400
 _EPS_RELAX, _EPS_NEAR = 0.005, 0.05
 """Smoothing of lengths, in mean lengths of a segment."""
@@ -118,7 +120,7 @@ class Annealing:
         done = 0
         while done < options.tests:
             temperature = start * options.cooling ** (-done / options.tests)
-            count = min(_BLOCK, options.tests - done)
+            count = min(_BLOCK, _BLOCK_PER_TERMINAL * self.tree.n_terminals, options.tests - done)
             self._lay()
             tally[:] = 0
             self.cost = kernels.run(
