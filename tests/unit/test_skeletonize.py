@@ -174,7 +174,7 @@ def test_what_is_selected() -> None:
     grey = labels * 30.0 + np.random.default_rng(0).normal(size=labels.shape)
     assert "(Otsu)" in skeletonize(Volume(grey, np.ones(3)), threshold="auto").image["selection"]
     assert skeletonize(Volume(grey, np.ones(3)), threshold=60.0).image["selection"] == "voxels at or above 60"
-    with pytest.raises(InputError, match="threshold 1e.06 selects nothing"):
+    with pytest.raises(InputError, match=r"threshold 1e\+06 selects nothing"):
         skeletonize(Volume(grey, np.ones(3)), threshold=1e6)
     with pytest.raises(InputError, match="selects everything"):
         skeletonize(Volume(grey, np.ones(3)), threshold=-1e6)
