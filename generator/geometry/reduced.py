@@ -22,7 +22,7 @@ from vascval.core.errors import ComputationError, InputError
 from vascval.core.tree import Tree
 from vascval.core.units import PA_S_PER_CP
 
-_BEND = 0.97
+_BEND = 0.9
 """How much of the Hessian's negative part the step uses: 0 is the majoriser, 1 the Hessian at fixed weights."""
 _SWEEPS = 100
 
@@ -41,7 +41,7 @@ class ReducedOptions:
     smoothing: tuple[float, ...] = (0.5, 0.15, 0.05, 0.015, 0.005, 0.001)
     tolerance: float = 1e-4
     rough: float = 3e-2
-    max_steps: int = 600
+    max_steps: int = 2000
     violation: float = 1e-6
 
 
