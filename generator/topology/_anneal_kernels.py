@@ -11,7 +11,7 @@ import numpy as np
 from generator._domain_kernels import segment_inside
 from generator.topology._move_kernels import graft, may_graft, may_swap, settle, swap
 from generator.topology._relax_kernels import relax, relax_near
-from generator.topology._state_kernels import begin, climb, descend, find_paths, slope_at, sweep, undo
+from generator.topology._state_kernels import begin, climb, descend, find_paths, long_enough, slope_at, sweep, undo
 from vascval.core.jit import njit
 
 NO_MOVE, REJECTED, ACCEPTED = 0, 1, 2
@@ -219,7 +219,7 @@ def test(state, flat, space, near, rng, rules, bound):
         cost = put_right(state, low_a, low_b)
         if n >= BIG and bound < cost < bound + rules.far:
             cost = relax_near(state, flat, REACH, rules.eps, ROUNDS)
-        if cost <= bound and stays_inside(state, space):
+        if cost <= bound and long_enough(state) and stays_inside(state, space):
             descend(state)
             return ACCEPTED, kind, cost
     undo(state)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from generator.topology._state_kernels import child_slope, distance, refresh, relength, save
+from generator.topology._state_kernels import child_slope, distance, keep_off, refresh, relength, save
 from vascval.core.jit import njit
 
 
@@ -68,6 +68,7 @@ def settle(state, i, d_rho, d_v, rounds):
         r.x += part * (x - r.x)
         r.y += part * (y - r.y)
         r.z += part * (z - r.z)
+        keep_off(state, i)
         relength(state, r.first)
         relength(state, r.second)
         r.length = distance(r, p)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from generator.geometry._reduced_kernels import dot, imbalance, lengths, pull, solve_laplacian
-from generator.topology._state_kernels import begin, child_slope, refresh, relength, save, sweep, total, undo
+from generator.topology._state_kernels import begin, child_slope, keep_off, refresh, relength, save, sweep, total, undo
 from vascval.core.jit import njit
 
 BEND = 0.97  # as in generator.geometry.reduced
@@ -201,6 +201,9 @@ def write_back(state, flat):
         if flat.moves[i]:
             r = state.node[node]
             r.x, r.y, r.z = flat.position[i, 0], flat.position[i, 1], flat.position[i, 2]
+    for i in range(ends, flat.parent.size):
+        if flat.moves[i]:
+            keep_off(state, flat.order[i - ends])
     for i in range(flat.parent.size - 1, ends - 1, -1):
         node = flat.order[i - ends]
         relength(state, node)

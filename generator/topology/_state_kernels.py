@@ -36,7 +36,7 @@ NODE = np.dtype(
     ],
     align=True,
 )  # fmt: skip
-SHORTEST = 1e-9  # a terminal's length is taken as no less, mm
+TINY = 1e-9  # a terminal's length is taken as no less, mm
 
 
 class State(NamedTuple):
@@ -44,10 +44,13 @@ class State(NamedTuple):
 
     ``shared[j, k]`` is the pressure that a terminal below stem ``k`` costs stem ``j`` in the root tree; ``stem_at`` (of
     the fixed nodes) which stem springs there; ``share`` the stems' parts of the volume when it was last summed.
+    Bifurcations keep ``shortest`` mm away from terminals: without it a trunk may lead through a terminal, whose vessel
+    then has neither length nor radius and takes part in nothing.
     """
 
     n_fixed: int
     gamma: float
+    shortest: float
     node: np.ndarray
     ends: np.ndarray
     stem_at: np.ndarray
@@ -95,7 +98,7 @@ def relength(state, i):
     r = state.node[i]
     r.length = distance(r, state.node[r.parent])
     if r.first < 0:
-        r.length = max(r.length, SHORTEST)
+        r.length = max(r.length, TINY)
     r.rho = r.n * r.length + r.a * r.a
     r.v = r.length + r.base_v
     r.q = r.rho ** (0.25 * state.gamma)
@@ -134,6 +137,30 @@ def total(state):
     for j in range(state.ends.size):
         state.share[j] /= result
     return np.log(result)
+
+
+@njit
+def keep_off(state, i):
+    """Move bifurcation ``i`` away from a terminal that is too close, towards where it is fed from."""
+    r = state.node[i]
+    p = state.node[r.parent]
+    for child in (r.first, r.second):
+        c = state.node[child]
+        if c.first < 0 and distance(r, c) < state.shortest:
+            away = distance(p, c)
+            part = min(1.0, 1.001 * state.shortest / away) if away > 0.0 else 0.0
+            r.x, r.y, r.z = c.x + part * (p.x - c.x), c.y + part * (p.y - c.y), c.z + part * (p.z - c.z)
+
+
+@njit
+def long_enough(state):
+    """Whether the terminals that were changed in this test are as long as they should be."""
+    for k in range(state.counts[0]):
+        i = state.journal_at[k]
+        r = state.node[i]
+        if i >= state.n_fixed and r.first < 0 and r.length < state.shortest and r.length < state.journal[k].length:
+            return False
+    return True
 
 
 @njit

@@ -10,8 +10,8 @@ subtrees at its end, spending ``p`` itself and leaving ``1 - p``, has the square
 
     W = sqrt(n) l^(3/2) / sqrt(p) + (sum of W_c) / sqrt(1 - p)
 
-since all children begin at the same pressure and all terminals end at the same one. Murray's law decides ``p``. Whatever
-it decides, by Hoelder's inequality ``X / sqrt(p) + Y / sqrt(1 - p) >= (X^(2/3) + Y^(2/3))^(3/2)``. With
+since all children begin at the same pressure and all terminals end at the same one. Murray's law sets ``p``. Whatever
+it says, by Hoelder's inequality ``X / sqrt(p) + Y / sqrt(1 - p) >= (X^(2/3) + Y^(2/3))^(3/2)``. With
 ``y = W^(2/3)`` and by induction from the leaves, as the right-hand side rises with every ``W_c``, ::
 
     y_i >= n_i^(1/3) l_i + (sum over children c of y_c^(3/2))^(2/3)

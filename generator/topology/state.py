@@ -12,6 +12,8 @@ from vascval.core.errors import InputError
 from vascval.core.ordering import root_first
 from vascval.core.tree import Topology
 
+SHORTEST_MM = 0.2
+
 
 class SearchTree:
     """A tree whose topology may change, its root tree and terminals apart.
@@ -19,12 +21,14 @@ class SearchTree:
     Junctions of more than two branches are written as bifurcations joined by segments of length 0.
 
     :param parent: (N,) root first, the root tree's nodes before all others; ``position_mm``: (N, 3).
+    :param shortest_mm: terminals are made no shorter than this, the paper's ``l_min``.
     :raises InputError: when a node has a single branch, or an end of the root tree none.
     """
 
     def __init__(
-        self, parent: np.ndarray, position_mm: np.ndarray, root_tree: RootTree, perfusion: Perfusion
-    ) -> None:
+        self, parent: np.ndarray, position_mm: np.ndarray, root_tree: RootTree, perfusion: Perfusion,
+        shortest_mm: float = SHORTEST_MM,
+    ) -> None:  # fmt: skip
         Topology(parent)
         fixed = root_tree.parent.size
         links, position = _bifurcating(np.asarray(parent), np.asarray(position_mm, np.float64), fixed)
@@ -44,6 +48,7 @@ class SearchTree:
         self.state = State(
             n_fixed=fixed,
             gamma=float(perfusion.gamma),
+            shortest=float(shortest_mm),
             node=node,
             ends=ends.astype(np.int32),
             stem_at=stem_at,

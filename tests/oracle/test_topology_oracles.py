@@ -108,8 +108,8 @@ def annealed(points, rng):
     growth = Growth(BOX, LAW, points[0], len(points) - 1, rng=rng, terminals_mm=points[1:])
     for _ in growth.steps():
         pass
-    options = AnnealingOptions(tests=5000, cooling=1000.0)
-    chains = [Annealing(*growth.snapshot(), growth.root_tree, LAW, options=options, rng=r) for r in rng.spawn(2)]
+    options = AnnealingOptions(tests=5000, heat=2.0, cooling=1000.0)
+    chains = [Annealing(*growth.snapshot(), growth.root_tree, LAW, options=options, rng=r) for r in rng.spawn(4)]
     for _ in anneal(chains):
         pass
     return min(chain.best_mm3 for chain in chains)
@@ -117,7 +117,7 @@ def annealed(points, rng):
 
 @pytest.mark.parametrize(
     ("n", "instances"),
-    [(5, 20), (6, 10), (7, 3), *[pytest.param(n, 100, marks=pytest.mark.slow) for n in (5, 6, 7, 8)]],
+    [(5, 10), (6, 5), (7, 2), *[pytest.param(n, 100, marks=pytest.mark.slow) for n in (5, 6, 7, 8)]],
 )
 def test_annealing_finds_the_optimum(n, instances):
     for seed in range(instances):
