@@ -1,0 +1,19 @@
+"""The benchmark of topology runs, at tiny sizes."""
+
+import pytest
+
+from tests.benchmarks import bench_topology
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "rows"),
+    [
+        ("tests", {"names": ("opencco_500",), "counts": (200,), "largest": 20}, 1),
+        ("optima", {"counts": (3, 4), "instances": 2}, 2),
+        ("orders", {"count": 2, "n_tests": 200, "largest": 20}, (1, 3)),
+    ],
+)
+def test_tables(name, arguments, rows):
+    lines = bench_topology.TABLES[name](**arguments).splitlines()
+    assert len(lines) - 2 in (rows if isinstance(rows, tuple) else (rows,))
+    assert len({line.count("|") for line in lines}) == 1
