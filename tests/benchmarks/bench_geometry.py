@@ -6,7 +6,6 @@ tables; without arguments all but the largest of ``scaling``. Times are CPU seco
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Sequence
 
@@ -20,6 +19,7 @@ from generator.geometry.full_space import solve_full
 from generator.geometry.optimise import optimise
 from generator.geometry.problem import Problem, Solution
 from generator.geometry.reduced import evaluate, solve_reduced
+from tests.benchmarks.tables import main, table
 from vascval.core.errors import ComputationError
 from vascval.core.ordering import generation
 from vascval.core.tree import Tree
@@ -49,10 +49,6 @@ def timed(solve: Callable[..., Solution], *given: object, **options: object) -> 
 
 def less(solution: Solution, begin: Solution) -> str:
     return f"{100 * (1 - solution.cost_mm3 / begin.cost_mm3):.2f}"
-
-
-def table(head: COLUMNS, rows: Sequence[COLUMNS]) -> str:
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *rows))
 
 
 def after_cco(counts: Sequence[int] = (500, 2000, 6000, 24_000), seeds: Sequence[int] = (1, 2, 3)) -> str:
@@ -178,10 +174,5 @@ TABLES: dict[str, Callable[..., str]] = {
 }
 
 
-def main(names: Sequence[str]) -> None:
-    for name in names or TABLES:
-        print(f"\n### {name}\n\n{TABLES[name]()}", flush=True)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(TABLES, "geometry")

@@ -6,7 +6,6 @@ arguments all of them. The rivals' figures were measured once, on a machine of 2
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import time
@@ -21,6 +20,7 @@ from generator.growth.evenness import evenness
 from generator.growth.growth import Growth, GrowthOptions
 from generator.growth.insertion_order import spread_order
 from generator.haemodynamics import Perfusion
+from tests.benchmarks.tables import main, table
 from vascval.core.tree import Tree
 from vascval.core.units import MM3_S_PER_ML_MIN, PA_PER_MMHG, PA_S_PER_CP
 from vascval.morphometry.overlaps import overlapping_pairs
@@ -58,12 +58,6 @@ def grow(
 
 def terminals_of(tree: Tree) -> np.ndarray:
     return tree.position_mm[tree.topology.terminals]
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A Markdown table."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
 
 
 def scaling(counts: Sequence[int] = (500, 2000, 6000, 24_000, 100_000)) -> str:
@@ -162,17 +156,6 @@ TABLES: dict[str, Callable[[], str]] = {
 }  # fmt: skip
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Benchmarks of growth, as tables.")
-    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"which ({', '.join(TABLES)}); all by default")
-    names = parser.parse_args().tables
-    unknown = sorted(set(names) - set(TABLES))
-    if unknown:
-        parser.error(f"no table is named {unknown[0]}; the tables are {', '.join(TABLES)}")
-    grow(30)  # compiles, or loads what is compiled
-    for name in names or TABLES:
-        print(f"\n## {name}\n\n{TABLES[name]()}", flush=True)
-
-
 if __name__ == "__main__":
-    main()
+    grow(30)  # compiles, or loads what is compiled
+    main(TABLES, "growth")

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Sequence
 
@@ -15,7 +14,8 @@ from generator.growth.growth import Growth
 from generator.growth.insertion_order import spread_order
 from generator.topology.annealing import Annealing, AnnealingOptions
 from generator.topology.exhaustive import optimal_tree
-from tests.benchmarks.bench_growth import BOX, CORNER, KARCH, TERMINALS, table
+from tests.benchmarks.bench_growth import BOX, CORNER, KARCH, TERMINALS
+from tests.benchmarks.tables import main, table
 
 KNOWN = {"opencco_500": 833.1, "ccolab_500": 833.8}
 """Best volumes (mm^3) of a plain implementation that relaxes the whole tree in each test, in six minutes."""
@@ -109,10 +109,5 @@ def orders(name: str = "opencco_500", count: int = 10, n_tests: int = 300_000, l
 TABLES: dict[str, Callable[[], str]] = {"tests": tests, "optima": optima, "orders": orders}
 
 
-def main(names: Sequence[str]) -> None:
-    for name in names or TABLES:
-        print(f"\n## {name}\n\n{TABLES[name]()}", flush=True)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(TABLES, "topology")
