@@ -110,8 +110,8 @@ class TopologyConfig(_Model):
     at: int = Field(default=500, ge=1, description="terminals at which growth pauses for it")
     tests: int = Field(default=300_000, ge=1, description="topologies tried by each chain")
     chains: int = Field(default=2, ge=1, description="independent searches, of which the best counts")
-    heat: float = Field(default=0.6, gt=0.0, description="start temperature, in median rises of the cost by a move")
-    cooling: float = Field(default=50.0, ge=1.0, description="start over end temperature")
+    heat: float = Field(default=1.0, gt=0.0, description="start temperature, in median rises of the cost by a move")
+    cooling: float = Field(default=60.0, ge=1.0, description="start over end temperature")
     swaps: float = Field(default=0.2, ge=0.0, le=1.0, description="share of swaps among the moves")
 
     def options(self) -> AnnealingOptions:

@@ -48,8 +48,8 @@ class AnnealingOptions:
     """
 
     tests: int = 300_000
-    heat: float = 0.6
-    cooling: float = 50.0
+    heat: float = 1.0
+    cooling: float = 60.0
     swaps: float = 0.2
     chains: int = 2
 

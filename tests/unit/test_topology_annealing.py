@@ -177,7 +177,7 @@ def test_a_tree_of_two_has_no_other_topology():
     [
         ({"tests": 0}, "tests and chains are 0 and 2; at least one is needed"),
         ({"chains": 0}, "at least one is needed"),
-        ({"heat": 0.0}, "heat and cooling are 0.0 and 50.0; above 0 and at least 1 is needed"),
+        ({"heat": 0.0}, "heat and cooling are 0.0 and 60.0; above 0 and at least 1 is needed"),
         ({"cooling": 0.5}, "above 0 and at least 1 is needed"),
         ({"swaps": 1.5}, "swaps is 1.5; a share between 0 and 1 is needed"),
     ],
