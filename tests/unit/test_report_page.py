@@ -29,7 +29,7 @@ ORIGIN = {"version": "1.2.3", "command": "compare", "config": {"label": None, "s
 SECTIONS = ["summary", "key-statistics", "overlay", "generations", "orders", "horton", "junctions", "image", "notes",
             "provenance", "definitions"]
 COMPARED = ["distributions", "location", "territories"]
-VOID = {"meta", "img", "input", "br", "hr", "link"}
+VOID = {"meta", "img", "input", "br", "hr", "link", "wbr"}
 
 
 def tree(*, turn=0.0, **meta) -> Tree:

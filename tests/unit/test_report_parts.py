@@ -14,6 +14,7 @@ from vascval.report import formats, scene, style, view, viewer
 from vascval.report.page import Cell, Picture, Section, Table, Text, render, script_json
 from vascval.report.plots import panel, plain_text
 from vascval.report.swatches import swatch
+from vascval.report.tree_sections import fitting
 
 S, M, N = "\N{NARROW NO-BREAK SPACE}", "\N{MINUS SIGN}", "\N{EN DASH}"
 
@@ -39,6 +40,7 @@ def test_measure(value, text):
         (formats.change, 38.2, f"×{S}39"), (formats.change, 162.5, f"×{S}164"), (formats.change, None, N),
         (formats.p_value, 1e-9, "< 0.001"), (formats.p_value, 0.0064, "0.006"), (formats.p_value, 0.507, "0.51"),
         (formats.effect, -0.9933, f"{M}0.99"), (formats.effect, 0.35, "+0.35"), (formats.effect, float("nan"), N),
+        (formats.effect, -0.004, "0.00"), (formats.effect, 0.0, "0.00"),
     ],
 )
 def test_other_formats(form, value, text):
@@ -49,6 +51,14 @@ def test_spread_and_several():
     assert formats.spread(4.8028, 1.6246) == "4.80 ± 1.6"
     assert formats.spread(5.15, float("nan")) == "5.15"
     assert formats.several(1, "branch", "es") == "1 branch" and formats.several(2, "branch", "es") == "2 branches"
+
+
+def test_wide_tables_are_cut_between_measures():
+    columns = {"a": 5, "b": 5, "c": 5, "d": 20, "e": 1}
+    groups = [(name, [Cell(name)] * n, {}) for name, n in columns.items()]
+    names = [[name for name, _, _ in run] for run in fitting(groups, 12)]
+    assert names == [["a", "b"], ["c"], ["d"], ["e"]]
+    assert fitting([], 12) == []
 
 
 def test_labels_tell_sources_apart():

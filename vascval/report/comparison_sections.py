@@ -93,7 +93,8 @@ def location(subject: Subject, comparison: Comparison, figures: Path) -> Section
     blocks += [Text(note) for note in comparison.notes if any(side.source in note for side in subject.trees)]
     blocks += [Text(_depth(place, side)) for place, side in zip(comparison.location, subject.trees)]
     caption = "Length matched, and mean distance of the centrelines of like generation with the tolerance as a line."
-    blocks.append(Figure(caption, panels.location(comparison.location, subject.trees, subject.first, figures)))
+    pictures = panels.location(comparison.location, subject.trees, subject.first, figures)
+    blocks.append(Figure(caption, pictures, two=True))
     for place, side in zip(comparison.location, subject.trees):
         blocks += [_location_table(place, side, "cast"), _location_table(place, side, "tree")]
     return Section(key, title, blocks)

@@ -79,8 +79,11 @@ def p_value(value: Any) -> str:
 
 
 def effect(value: Any) -> str:
-    """An effect size between -1 and 1, always with its sign."""
-    return NONE if missing(value) else _signed(f"{value:+.2f}")
+    """An effect size between -1 and 1 with its sign; what rounds to nothing has none."""
+    if missing(value):
+        return NONE
+    text = f"{value:+.2f}"
+    return text[1:] if float(text) == 0 else _signed(text)
 
 
 def point(position: Any) -> str:

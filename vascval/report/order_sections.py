@@ -110,7 +110,7 @@ def _matrix(label: str, frame: pd.DataFrame, ordering: str, words: str) -> Table
         for m in mean.index
     ]
     caption = f"{label}, {words} orders."
-    return Table(caption, [head], body, "tables/connectivity.csv", small=True)
+    return Table(caption, [head], body, "tables/connectivity.csv", small=len(mean.columns) <= 4)
 
 
 def _mean(mean: Any, error: Any) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from vascval.core.tree import Tree
+from vascval.report.formats import count
 from vascval.report.style import Series
 
 MAX_TRIANGLES = 60_000
@@ -98,7 +99,7 @@ def mask_surface(volume: Any, *, max_triangles: int = MAX_TRIANGLES) -> Surface 
     mesh = mesh.smooth_taubin(n_iter=20, pass_band=0.1)
     note = f"every {block} voxels" if block > 1 else "at full resolution"
     if mesh.n_cells > max_triangles:
-        note += f", simplified from {mesh.n_cells:,} to about {max_triangles:,} triangles"
+        note += f", simplified from {count(mesh.n_cells)} to about {count(max_triangles)} triangles"
         mesh = mesh.decimate(1.0 - max_triangles / mesh.n_cells)
     voxel = block * float(np.max(volume.spacing_mm))
     points, faces = np.asarray(mesh.points, dtype="float64"), np.asarray(mesh.regular_faces, dtype="int64")

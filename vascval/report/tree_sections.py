@@ -15,6 +15,7 @@ from vascval.report.page import Cell, Figure, Items, Section, Table, Text
 from vascval.report.subject import Side, Subject
 
 Format = Callable[[Any], str]
+_Group = tuple[str, list[Cell], dict[int, list[Cell]]]  # a group of columns: name, head below it, cells by generation
 
 _TOTALS: tuple[tuple[str, str, Format], ...] = (
     ("n_terminals", "terminals", count),
@@ -153,15 +154,28 @@ def generations(subject: Subject) -> Section:
             for column, label, sd, form in measures
             if any(column in side.generations for side in subject.sides)
         ]
-        if groups:
-            blocks.append(_joined(caption, groups, subject))
+        beside = 15 if all(sd is None for _, _, sd, _ in measures) else 12
+        for part in fitting(groups, beside):
+            more = "" if part[0] is groups[0] else f" Continued: {', '.join(label for label, _, _ in part)}."
+            blocks.append(_joined(caption + more, part, subject))
     return Section("generations", "By generation", blocks)
+
+
+def fitting(groups: list[_Group], beside: int) -> list[list[_Group]]:
+    """The groups in runs of at most ``beside`` columns, so that a page takes them; a wider group stands alone."""
+    runs: list[list[_Group]] = []
+    for group in groups:
+        if runs and sum(len(head) for _, head, _ in [*runs[-1], group]) <= beside:
+            runs[-1].append(group)
+        else:
+            runs.append([group])
+    return runs
 
 
 def _generation_group(
     subject: Subject, column: str, label: str, sd: str | None, form: Format
-) -> tuple[str, list[Cell], dict[int, list[Cell]]]:
-    """A group of columns: its name, the head below it, and the cells by generation."""
+) -> _Group:
+    """The columns of one measure, of every side and with the differences."""
     head: list[Cell] = []
     body: dict[int, list[Cell]] = {generation: [] for generation in _all_generations(subject)}
     base = _column(subject.first, column)
@@ -180,7 +194,7 @@ def _generation_group(
     return label, head, body
 
 
-def _joined(caption: str, groups: list[tuple[str, list[Cell], dict[int, list[Cell]]]], subject: Subject) -> Table:
+def _joined(caption: str, groups: list[_Group], subject: Subject) -> Table:
     head = two_rows("generation", [(label, cells) for label, cells, _ in groups])
     body = [
         [Cell(str(generation), "head"), *(cell for _, _, rows in groups for cell in rows[generation])]

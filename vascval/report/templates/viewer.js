@@ -247,8 +247,12 @@
     fingers.set(event.pointerId, now);
   });
   for (const kind of ["pointerup", "pointercancel"]) canvas.addEventListener(kind, (event) => fingers.delete(event.pointerId));
+  canvas.addEventListener("pointerleave", (event) => {
+    if (event.pointerType === "mouse" && !event.buttons) canvas.blur();
+  });
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("wheel", (event) => {
+    if (document.activeElement !== canvas && !event.ctrlKey) return; // the page scrolls until the view is clicked
     event.preventDefault();
     zoom(Math.exp(-event.deltaY * 0.0015));
   }, { passive: false });
