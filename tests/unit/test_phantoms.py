@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks import _growth_kernels as kernels
-from benchmarks import bench_skeletonize, shapes
-from benchmarks.phantoms import KINDS, Phantom, Rules, drawn_radius, grow, phantom, resampled, rough_image
-from benchmarks.score import score
 from scipy.ndimage import binary_fill_holes
 from skimage.measure import euler_number, label
 
+from tests.benchmarks import _growth_kernels as kernels
+from tests.benchmarks import bench_skeletonize, shapes
+from tests.benchmarks.phantoms import KINDS, Phantom, Rules, drawn_radius, grow, phantom, resampled, rough_image
+from tests.benchmarks.score import score
 from vascval.core.contraction import degenerate_segments
 from vascval.core.errors import ComputationError
 from vascval.core.ordering import n_terminals_below
