@@ -1,7 +1,8 @@
 """What README.md tells a reader to type works.
 
 Its ``console`` blocks hold the lines typed, each after ``$ ``. All lines that begin with ``vascval`` are checked for
-the names of commands and options; blocks below a line ``<!-- quick -->`` are run, in order, in one directory.
+the names of commands and options; blocks below a line ``<!-- quick -->`` are run, in order, in one directory, and then
+the Python program.
 """
 
 import os
@@ -57,3 +58,9 @@ def test_quick_commands_run(tmp_path):
             line, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, f"$ {line}\n{done.stdout}{done.stderr}"
+    program = re.search(r"```python\n(.*?)```", TEXT, re.DOTALL)
+    assert program, "README.md shows no Python"
+    done = subprocess.run(
+        [sys.executable, "-c", program[1]], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr

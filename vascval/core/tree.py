@@ -210,10 +210,6 @@ class Tree:
         """A copy that carries these columns too."""
         return replace(self, columns={**self.columns, **columns})
 
-    def with_meta(self, **meta: Any) -> Tree:
-        """A copy whose metadata hold these entries too."""
-        return replace(self, meta={**self.meta, **meta})
-
 
 def _refuse(bad: np.ndarray, what: str, kind: str) -> None:
     ids = np.flatnonzero(bad)

@@ -21,12 +21,11 @@ MAX_GAP_DIAMETERS = 1.5
 class Joined:
     """``runs``: the body with the fragments that belong to it. ``breaks_xyz`` (k, 3): where they were joined (voxels).
 
-    ``n_fragments`` and ``n_voxels_left``: how many components, and voxels in them, were left out.
+    ``n_voxels_left``: how many voxels of other components were left out.
     """
 
     runs: Runs
     breaks_xyz: np.ndarray
-    n_fragments: int
     n_voxels_left: int
 
 
@@ -38,11 +37,10 @@ def join_breaks(runs: Runs, parts: Components, spacing_mm: np.ndarray) -> Joined
     within ``MAX_ANGLE_DEG`` of its long axis and beyond its middle. The gap is closed by a thread of voxels. Fragments
     may continue other fragments. What lies beside a vessel, however near, is not joined.
     """
-    n_left = parts.size_voxels.size - 1
     candidates = np.flatnonzero(parts.size_voxels[1:] >= MIN_VOXELS)[:MAX_FRAGMENTS] + 1
     body = keep(runs, parts.label == 0)
     if candidates.size == 0:
-        return Joined(body, np.empty((0, 3)), n_left, int(parts.size_voxels[1:].sum()))
+        return Joined(body, np.empty((0, 3)), int(parts.size_voxels[1:].sum()))
     fragments = {int(k): _Fragment(from_runs(keep(runs, parts.label == k), spacing_mm)) for k in candidates}
     trees = [cKDTree(from_runs(body, spacing_mm).index_xyz() * spacing_mm)]
     chosen, threads = [0], []
@@ -60,7 +58,7 @@ def join_breaks(runs: Runs, parts: Components, spacing_mm: np.ndarray) -> Joined
         whole = union(whole, from_voxels(runs.shape, line))
     middle = np.array([(near + far) / 2 / spacing_mm for near, far in threads]).reshape(-1, 3)
     left = int(parts.size_voxels.sum() - parts.size_voxels[chosen].sum())
-    return Joined(whole, middle, n_left + 1 - len(chosen), left)
+    return Joined(whole, middle, left)
 
 
 class _Fragment:
