@@ -16,6 +16,7 @@ from vascval.io import schemas
 from vascval.io.documents import plain, read_reference_table
 from vascval.io.rows import TABLES
 from vascval.morphometry import analyze
+from vascval.report.ensemble_tables import Member, gather
 
 CLI_KEYS = {
     "summary": "n_terminals n_segments n_bifurcations n_trifurcations n_trifurcations_first_7 n_monopodial "
@@ -72,6 +73,8 @@ def test_tree_arrays_are_the_registered_columns():
 
 def test_tables_have_the_columns_of_their_rows(comparison):
     analysis, location = comparison.cast, comparison.location[0]
+    both = [Member(name, "", 1, "0", side.document()) for name, side in zip("ab", (analysis, comparison.trees[0]))]
+    ensemble = gather(both, n_asked=2)
     tables = {
         "generations": analysis.generations,
         "orders": analysis.orders,
@@ -87,6 +90,8 @@ def test_tables_have_the_columns_of_their_rows(comparison):
         "segment-location": location.cast_segments,
         "territories": comparison.territories[0].generations,
         "reference": None,
+        "ensemble-trees": ensemble.trees,
+        "ensemble-spread": pd.concat([ensemble.totals, ensemble.generations]),
     }
     assert set(tables) == set(TABLES)
     for name, table in tables.items():

@@ -260,6 +260,43 @@ class ReferenceRow(Row):
     n_monopodial: Number = Field(default=None, ge=0, description="monopodial branches that spring from it")
 
 
+class EnsembleTreeRow(Row):
+    """One tree of an ensemble."""
+
+    name: str = _f("of its files under trees")
+    case: str = _f("the keys in which its configuration differs from the common one; empty without a grid")
+    seed: int = _f("seed of its random numbers")
+    n_terminals: int = _f("segments that end without children")
+    n_segments: int = _f("segments")
+    n_bifurcations: int = _f("nodes with exactly two children")
+    n_trifurcations: int = _f("nodes with exactly three children")
+    n_monopodial: int = _f("monopodial branches")
+    n_overlaps: int = _f("pairs of segments without a common node whose capsules intersect")
+    max_order: int = _f("Strahler order of the root segment")
+    total_length_mm: float = _f("summed length")
+    volume_mm3: float = _f("summed pi r^2 l")
+    murray_exponent_median: Number = _f("median over the nodes that have one")
+    branching_angle_mean_deg: Number = _f("mean angle of a child to the segment that feeds it")
+    length_to_diameter_mean: Number = _f("mean of length over diameter")
+    sha256: str = _f("checksum of the tree's file")
+
+
+class EnsembleSpreadRow(Row):
+    """A measure over the trees of one case, each tree counting alike."""
+
+    case: str = _f("case of the grid; empty without a grid")
+    generation: int | None = _f("generation, root 1; null for a total of the tree")
+    measure: str = _f("what was measured, as the tables of single trees call it")
+    n_trees: int = _f("trees that have a value")
+    mean: float = _f("mean")
+    sd: Number = _f("standard deviation (n - 1); null with a single tree")
+    min: float = _f("least value")
+    q1: float = _f("first quartile, interpolated between values")
+    median: float = _f("median")
+    q3: float = _f("third quartile")
+    max: float = _f("greatest value")
+
+
 TABLES: dict[str, type[Row]] = {
     "generations": GenerationRow,
     "orders": OrderRow,
@@ -275,5 +312,7 @@ TABLES: dict[str, type[Row]] = {
     "segment-location": SegmentLocationRow,
     "territories": TerritoryRow,
     "reference": ReferenceRow,
+    "ensemble-trees": EnsembleTreeRow,
+    "ensemble-spread": EnsembleSpreadRow,
 }
 """The row model of every table by name. ``differences`` follows from ``generations``: see the comparison."""

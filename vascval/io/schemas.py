@@ -11,7 +11,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from vascval.core.columns import COLUMNS
 from vascval.core.errors import InputError
-from vascval.io import documents
+from vascval.io import documents, ensembles
 from vascval.io.rows import TABLES
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -19,6 +19,8 @@ _DOCUMENTS: dict[str, type[BaseModel]] = {
     "analyze": documents.AnalyzeDocument,
     "compare": documents.CompareDocument,
     "demo": documents.CompareDocument,
+    "ensemble": ensembles.EnsembleDocument,
+    "ensemble-manifest": ensembles.ManifestDocument,
     "generate": documents.GenerateDocument,
     "skeletonize": documents.SkeletonizeDocument,
 }

@@ -161,13 +161,7 @@ def notes(subject: Subject) -> Section:
 def provenance(subject: Subject) -> Section:
     """Version, command, configuration, seed and checksums of the inputs; the rules of the analysis."""
     origin = subject.provenance
-    seed = origin.get("seed")
-    entries = [
-        ("program", f"vascval {origin.get('version', '')}"),
-        ("command", str(origin.get("command", ""))),
-        ("seed", "none: nothing is random" if seed is None else str(seed)),
-        *((f"option {key}", _value(value)) for key, value in _flat(origin.get("config", {}))),
-    ]
+    entries = origin_entries(origin)
     rules = subject.comparison.parameters if subject.comparison is not None else {}
     if subject.measured:
         rules = {**subject.measured[0][1].parameters, **rules}
@@ -177,6 +171,17 @@ def provenance(subject: Subject) -> Section:
     body = [[Cell(item["name"], "head"), Cell(count(item["bytes"])), Cell(item["sha256"], "text")] for item in inputs]
     table = Table("Inputs.", [head], body, "report.json") if body else Text("There are no input files.", "empty")
     return Section("provenance", "Provenance", [table, Items(entries)])
+
+
+def origin_entries(origin: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Program, command, seed and options of a provenance record, as terms and what they are."""
+    seed = origin.get("seed")
+    return [
+        ("program", f"vascval {origin.get('version', '')}"),
+        ("command", str(origin.get("command", ""))),
+        ("seed", "none: nothing is random" if seed is None else str(seed)),
+        *((f"option {key}", _value(value)) for key, value in _flat(origin.get("config", {}))),
+    ]
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:

@@ -1,0 +1,1 @@
+"""Many trees: seeds and grids of parameters, on local processes or a Dask cluster."""

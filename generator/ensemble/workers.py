@@ -1,0 +1,97 @@
+"""Workers: processes on this machine, or those of a Dask scheduler elsewhere. One way to both: a Dask client."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from vascval.core.errors import InputError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_SECONDS_TO_CONNECT = 15
+_SECONDS_FOR_WORKERS = 60
+
+
+@contextmanager
+def connected(scheduler: str | None, n_workers: int) -> Iterator[Client]:
+    """A client of the scheduler at that address, or of one started here with ``n_workers`` processes.
+
+    Local processes have one thread each, are started again when they are lost, and end with the context. At least one
+    worker is there.
+
+    :raises InputError: when no scheduler answers or it has no workers.
+    """
+    if scheduler is None:
+        with _local(n_workers) as client:
+            yield client
+    else:
+        with _remote(scheduler) as client:
+            yield client
+
+
+@contextmanager
+def _local(n_workers: int) -> Iterator[Client]:
+    import dask
+    from distributed import Client, LocalCluster
+
+    settings = {"distributed.scheduler.worker-saturation": 1.0}  # what a lost worker had not begun is not its own
+    options: dict[str, Any] = {"preload": [__name__], "memory_limit": 0, "silence_logs": logging.CRITICAL}
+    with (
+        dask.config.set(settings),
+        LocalCluster(
+            n_workers=n_workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", **options
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+@contextmanager
+def _remote(address: str) -> Iterator[Client]:
+    from distributed import Client
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            client = Client(address, timeout=_SECONDS_TO_CONNECT, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"--scheduler {address}: no Dask scheduler answers ({reason}); start one by 'dask scheduler' "
+            "and give the address that it prints"
+        ) from error
+    try:
+        try:
+            client.wait_for_workers(1, timeout=_SECONDS_FOR_WORKERS)
+        except (TimeoutError, asyncio.TimeoutError) as error:
+            raise InputError(
+                f"--scheduler {address}: the scheduler has no workers; start some by 'dask worker {address}'"
+            ) from error
+        yield client
+    finally:
+        client.close()
+
+
+def n_threads(client: Client) -> int:
+    """How many trees the workers make at once."""
+    return sum(client.nthreads().values())
+
+
+def one_per_host(client: Client) -> list[str]:
+    """The address of a worker on each machine."""
+    hosts: dict[str, str] = {}
+    for address, worker in sorted(client.scheduler_info(n_workers=-1)["workers"].items()):
+        hosts.setdefault(worker["host"], address)
+    return list(hosts.values())
+
+
+def dask_setup(_worker: object) -> None:
+    """Run by each local worker as it starts: Ctrl-C is for the program that started it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,0 +1,178 @@
+"""The report of an ensemble: how its trees spread, in total and by generation."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from vascval.io.atomic import atomic_directory
+from vascval.io.documents import plain
+from vascval.io.tables import write_table
+from vascval.report import ensemble_panels
+from vascval.report.definitions import MEASURED
+from vascval.report.ensemble_tables import Ensemble
+from vascval.report.formats import THIN, count, measure, several, spread
+from vascval.report.origin_sections import origin_entries
+from vascval.report.page import Cell, Figure, Items, Section, Table, Text, render
+
+_NAMES = {
+    "n_terminals": "terminals",
+    "n_segments": "segments",
+    "n_bifurcations": "bifurcations",
+    "n_trifurcations": "trifurcations",
+    "n_monopodial": "monopodial branches",
+    "n_overlaps": "overlapping pairs of segments",
+    "max_order": "Strahler order of the root",
+    "total_length_mm": "total length (mm)",
+    "volume_mm3": "volume (mm³)",
+    "murray_exponent_median": "median Murray exponent",
+    "branching_angle_mean_deg": "mean branching angle (°)",
+    "length_to_diameter_mean": "mean length to diameter",
+}
+_BY_GENERATION = {
+    "n_segments": "segments",
+    "radius_mean_mm": "mean radius (mm)",
+    "length_mean_mm": "mean length (mm)",
+    "branching_ratio_mean": "mean branching ratio",
+}
+_BOXES = (
+    "Boxes from the first to the third quartile with the median; whiskers to the last value within 1.5 box lengths, "
+    "rings beyond."
+)
+
+
+def document(ensemble: Ensemble) -> dict[str, Any]:
+    """The tables as JSON, with what they are of; nothing in it depends on who made the trees."""
+    found: dict[str, Any] = plain(
+        {
+            "n_trees": ensemble.n_asked,
+            "n_done": len(ensemble.trees),
+            "cases": ensemble.cases,
+            "trees": ensemble.trees,
+            "totals": ensemble.totals,
+            "generations": ensemble.generations,
+        }
+    )
+    return found
+
+
+def write_ensemble_report(ensemble: Ensemble, directory: Path, *, provenance: Mapping[str, Any]) -> None:
+    """``report.html``, ``report.json``, ``figures/`` and ``tables/`` into ``directory``, all of it or nothing.
+
+    :raises InputError: when the directory cannot be written.
+    """
+    with atomic_directory(directory) as work:
+        figures, tables = work / "figures", work / "tables"
+        figures.mkdir()
+        tables.mkdir()
+        for name, table in ensemble.tables().items():
+            write_table(table, tables / f"{name}.csv")
+        text = json.dumps({**document(ensemble), "provenance": dict(provenance)}, indent=1, allow_nan=False) + "\n"
+        (work / "report.json").write_text(text, encoding="utf-8")
+        sections = [
+            _summary(ensemble),
+            _totals(ensemble, figures),
+            _generations(ensemble, figures),
+            _trees(ensemble),
+            Section("provenance", "Provenance", [Items(origin_entries(provenance))]),
+            Section("definitions", "Definitions", [Items(MEASURED)]),
+        ]
+        page = render(
+            f"Ensemble of {several(len(ensemble.trees), 'tree')}",
+            "Trees that differ in their random numbers, and cases that differ in their parameters",
+            sections,
+            version=str(provenance.get("version", "")),
+            legend=[],
+        )
+        (work / "report.html").write_text(page, encoding="utf-8")
+
+
+def _summary(ensemble: Ensemble) -> Section:
+    entries = []
+    for case in ensemble.cases:
+        rows = ensemble.totals[ensemble.totals["case"] == case].set_index("measure")
+        volume, length = rows.loc["volume_mm3"], rows.loc["total_length_mm"]
+        n = int((ensemble.trees["case"] == case).sum())
+        said = (
+            f"{several(n, 'tree')}: volume {spread(volume['mean'], volume['sd'])}{THIN}mm³, "
+            f"length {spread(length['mean'], length['sd'])}{THIN}mm (mean ± standard deviation)."
+        )
+        entries.append((case or "all trees", said))
+    blocks: list[Any] = [Items(entries, "lead")]
+    lost = ensemble.n_asked - len(ensemble.trees)
+    if lost:
+        blocks.append(Text(f"{several(lost, 'tree')} of {ensemble.n_asked} could not be made and are missing here."))
+    return Section("summary", "Summary", blocks)
+
+
+def _totals(ensemble: Ensemble, figures: Path) -> Section:
+    head = [Cell("", "head"), *(Cell(name) for name in ("trees", "mean ± sd", "least", "q1", "median", "q3", "most"))]
+    tables = []
+    for case in ensemble.cases:
+        rows = ensemble.totals[ensemble.totals["case"] == case].to_dict("records")
+        body = [[Cell(_NAMES[row["measure"]], "head"), Cell(count(row["n_trees"])), *_cells(row)] for row in rows]
+        tables.append(Table(f"{_named(case)}Totals over the trees.", [head], body, "tables/totals.csv"))
+    caption = f"A point per tree. {_BOXES}"
+    return Section("totals", "Totals", [*tables, Figure(caption, ensemble_panels.totals(ensemble, figures))])
+
+
+def _cells(row: Mapping[Any, Any]) -> list[Cell]:
+    quartiles = [Cell(measure(row[name])) for name in ("min", "q1", "median", "q3", "max")]
+    return [Cell(spread(row["mean"], row["sd"])), *quartiles]
+
+
+def _generations(ensemble: Ensemble, figures: Path) -> Section:
+    pictures = ensemble_panels.generations(ensemble, figures)
+    caption = f"Key statistics by generation over the trees. {_BOXES}"
+    tables = [_generation_table(ensemble.generations, case) for case in ensemble.cases]
+    return Section("generations", "By generation", [Figure(caption, pictures, two=True), *tables])
+
+
+def _generation_table(frame: pd.DataFrame, case: str) -> Table:
+    rows = {(row["generation"], row["measure"]): row for row in frame[frame["case"] == case].to_dict("records")}
+    generations = sorted({generation for generation, _ in rows})
+    head = [
+        [Cell("", "head"), Cell(""), *(Cell(name, "group", 2) for name in _BY_GENERATION.values())],
+        [
+            Cell("generation", "head"),
+            Cell("trees"),
+            *[Cell("mean ± sd"), Cell("median [q1, q3]")] * len(_BY_GENERATION),
+        ],
+    ]
+    body = []
+    for generation in generations:
+        cells = [Cell(str(generation), "head"), Cell(count(rows[generation, "n_segments"]["n_trees"]))]
+        for name in _BY_GENERATION:
+            row = rows.get((generation, name))
+            cells += [Cell(""), Cell("")] if row is None else _mean_and_median(row)
+        body.append(cells)
+    caption = f"{_named(case)}By generation; only trees that have the generation count."
+    return Table(caption, head, body, "tables/generations.csv")
+
+
+def _mean_and_median(row: Mapping[Any, Any]) -> list[Cell]:
+    quartiles = f"{measure(row['median'])} [{measure(row['q1'])}, {measure(row['q3'])}]"
+    return [Cell(spread(row["mean"], row["sd"])), Cell(quartiles)]
+
+
+def _trees(ensemble: Ensemble) -> Section:
+    shown = ("n_terminals", "n_segments", "n_trifurcations", "total_length_mm", "volume_mm3")
+    head = [Cell("tree", "head"), Cell("seed"), *(Cell(_NAMES[name]) for name in shown), Cell("SHA-256", "text")]
+    body = [
+        [
+            Cell(row["name"], "head"),
+            Cell(str(row["seed"])),
+            *(Cell(count(row[name]) if name.startswith("n_") else measure(row[name], 5)) for name in shown),
+            Cell(row["sha256"][:16], "text"),
+        ]
+        for row in ensemble.trees.to_dict("records")
+    ]
+    return Section("trees", "Trees", [Table("The trees, in trees/.", [head], body, "tables/trees.csv")])
+
+
+def _named(case: str) -> str:
+    return f"{case}. " if case else ""
