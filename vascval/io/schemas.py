@@ -11,7 +11,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from vascval.core.columns import COLUMNS
 from vascval.core.errors import InputError
-from vascval.io import documents, ensembles
+from vascval.io import documents, ensembles, twins
 from vascval.io.rows import TABLES
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -23,6 +23,7 @@ _DOCUMENTS: dict[str, type[BaseModel]] = {
     "ensemble-manifest": ensembles.ManifestDocument,
     "generate": documents.GenerateDocument,
     "skeletonize": documents.SkeletonizeDocument,
+    "twin": twins.TwinDocument,
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vascval.report import comparison_sections, order_sections, origin_sections, tree_sections
+from vascval.report import comparison_sections, order_sections, origin_sections, tree_sections, twin_section
 from vascval.report.page import Section
 from vascval.report.subject import Side, Subject
 from vascval.report.swatches import Swatch, swatch
@@ -39,6 +39,7 @@ def sections(subject: Subject, figures: Path) -> list[Section]:
     """All sections in the order of the page; their figures are written into ``figures`` on the way."""
     found = [
         tree_sections.summary(subject),
+        *([] if subject.twin is None else [twin_section.twin(subject, subject.twin, figures)]),
         tree_sections.key_statistics(subject, figures),
         origin_sections.overlay(subject, figures),
         tree_sections.generations(subject),

@@ -13,6 +13,7 @@ from vascval.imaging import Skeleton
 from vascval.io.documents import ReferenceTable
 from vascval.morphometry import Analysis
 from vascval.report.style import Series, styled
+from vascval.report.twin_section import Twin
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +34,16 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """All ``sides``: the cast (or the only tree) first, the trees, a published reference last if there is one."""
+    """All ``sides``: the cast (or the only tree) first, the trees, a published reference last if there is one.
+
+    ``twin``: what the trees were grown from, where they were grown after the cast.
+    """
 
     sides: list[Side]
     comparison: Comparison | None
     skeleton: Skeleton | None
     provenance: Mapping[str, Any]
+    twin: Twin | None = None
 
     @property
     def measured(self) -> list[tuple[Side, Analysis]]:
@@ -55,7 +60,9 @@ class Subject:
         return [side for side in self.sides if side.series.role == "tree"]
 
 
-def of_comparison(comparison: Comparison, skeleton: Skeleton | None, provenance: Mapping[str, Any]) -> Subject:
+def of_comparison(
+    comparison: Comparison, skeleton: Skeleton | None, provenance: Mapping[str, Any], twin: Twin | None = None
+) -> Subject:
     reference = comparison.reference
     looks = styled(
         comparison.cast.source,
@@ -66,7 +73,7 @@ def of_comparison(comparison: Comparison, skeleton: Skeleton | None, provenance:
     n = len(comparison.trees)
     short = ["cast", *(["tree"] if n == 1 else [f"tree {k}" for k in range(1, n + 1)]), "table"]
     sides = [_side(look, item, name) for look, item, name in zip(looks, items, short)]
-    return Subject(sides, comparison, skeleton, provenance)
+    return Subject(sides, comparison, skeleton, provenance, twin)
 
 
 def of_analysis(analysis: Analysis, skeleton: Skeleton | None, provenance: Mapping[str, Any]) -> Subject:

@@ -80,8 +80,12 @@ def can_render() -> bool:
     return done.returncode == 0
 
 
-def write_picture(path: Path, layers: Sequence[Tubes], *, surface: Surface | None = None) -> str:
+def write_picture(
+    path: Path, layers: Sequence[Tubes], *, surface: Surface | None = None, seen: Viewpoint | None = None
+) -> str:
     """A PNG of the tubes and the translucent surface in parallel projection; returns the view in words.
+
+    ``seen``: from where, if not from the flattest side of what is drawn.
 
     :raises ComputationError: when VTK cannot draw on this machine.
     """
@@ -90,7 +94,7 @@ def write_picture(path: Path, layers: Sequence[Tubes], *, surface: Surface | Non
             "VTK cannot draw without a display here; install EGL or OSMesa (Debian: libegl1 libgl1-mesa-dri "
             "libosmesa6) with vtk 9.4 or newer, or set DISPLAY"
         )
-    seen = viewpoint(*bounds_mm(surface, layers))
+    seen = seen or viewpoint(*bounds_mm(surface, layers))
     plotter = _plotter(layers, surface, seen, off_screen=True)
     pixels = plotter.screenshot(return_img=True)
     plotter.close()
@@ -101,11 +105,13 @@ def write_picture(path: Path, layers: Sequence[Tubes], *, surface: Surface | Non
     return seen.words
 
 
-def write_flat_picture(path: Path, layers: Sequence[Tubes], *, surface: Surface | None = None) -> str:
+def write_flat_picture(
+    path: Path, layers: Sequence[Tubes], *, surface: Surface | None = None, seen: Viewpoint | None = None
+) -> str:
     """The same picture without VTK: projected tubes of true width, nearest last, and the surface as a shadow."""
     from matplotlib.collections import LineCollection
 
-    seen = viewpoint(*bounds_mm(surface, layers))
+    seen = seen or viewpoint(*bounds_mm(surface, layers))
     figure, axes = _frame(seen)
     points_per_mm = _HEIGHT / _DPI * 72.0 / (2.0 * _shown(seen)[1])
     if surface is not None:
@@ -202,7 +208,7 @@ def _finish(path: Path, figure: Any, axes: Any, layers: Sequence[Tubes], surface
     ends = (x - bar / (right - left), x)
     handles = [Patch(color=layer.series.colour, label=plain_text(layer.series.label)) for layer in layers]
     if surface is not None:
-        handles.append(Patch(color=SURFACE, alpha=0.5, label="surface of the cast"))
+        handles.append(Patch(color=SURFACE, alpha=0.5, label=surface.label))
     with rc_context(rc()), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=r"Glyph .* missing")
         figure.add_artist(Line2D(ends, (y, y), color=INK, linewidth=2.0, solid_capstyle="butt"))

@@ -15,19 +15,28 @@ from vascval.report import content
 from vascval.report.files import write_tables
 from vascval.report.page import render
 from vascval.report.subject import Subject, of_analysis, of_comparison
+from vascval.report.twin_section import Twin
 
 
 def write_compare_report(
-    comparison: Comparison, directory: Path, *, provenance: Mapping[str, Any], skeleton: Skeleton | None = None
+    comparison: Comparison,
+    directory: Path,
+    *,
+    provenance: Mapping[str, Any],
+    skeleton: Skeleton | None = None,
+    twin: Twin | None = None,
 ) -> None:
     """The report of a cast against trees into ``directory``, all of it or nothing.
 
     :param provenance: :func:`vascval.io.provenance.provenance`; shown, and part of ``report.json``.
     :param skeleton: of the cast, where it is a volume: its surface and what was cut and pruned are shown.
+    :param twin: what the trees were grown from, if they were grown after the cast.
     :raises InputError: when the directory cannot be written.
     """
     document = {**comparison.document(), "provenance": dict(provenance)}
-    _write(of_comparison(comparison, skeleton, provenance), document, Path(directory))
+    if twin is not None:
+        document["twin"] = dict(twin.facts)
+    _write(of_comparison(comparison, skeleton, provenance, twin), document, Path(directory))
 
 
 def write_analysis_report(

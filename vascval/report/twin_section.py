@@ -1,0 +1,164 @@
+"""What the report of a twin says beyond the comparison: the set-up, how the trees fill it, and how far they scale."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vascval.report import view
+from vascval.report.formats import THIN, count, measure, percent, point
+from vascval.report.page import Cell, Figure, Items, Picture, Section, Table, Text
+from vascval.report.scene import Surface, Tubes, bounds_mm, tubes, viewpoint
+
+if TYPE_CHECKING:
+    from vascval.report.subject import Subject
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """``facts``: :class:`vascval.io.documents.Twin` as plain values; ``surface`` of the perfusion volume."""
+
+    facts: Mapping[str, Any]
+    surface: Surface | None
+
+
+def twin(subject: Subject, given: Twin, figures: Path) -> Section:
+    """The section: what the trees were grown from, each in the perfusion volume, how they fill it, and notes."""
+    facts = given.facts
+    blocks: list[Any] = [
+        Text(
+            "The grown trees have the cast's perfusion volume, root and number of terminals, and nothing else of it: "
+            "where their vessels run is found by least volume of blood at the given flow and pressures."
+        ),
+        Figure(
+            f"Cast and grown trees in the perfusion volume, {_words(given, subject)}.",
+            _pictures(subject, given, figures),
+        ),
+        Items(_setup(facts)),
+        _scaling(subject, facts),
+        _filling(subject),
+        Text(_scaling_words(facts), "note"),
+        *([Items(list(facts["notes"]))] if facts["notes"] else []),
+    ]
+    return Section("twin", "Twin", blocks)
+
+
+def _layers(subject: Subject) -> list[Tubes]:
+    return [tubes(analysis.tree, side.series) for side, analysis in subject.measured]
+
+
+def _words(given: Twin, subject: Subject) -> str:
+    return viewpoint(*bounds_mm(given.surface, _layers(subject))).words
+
+
+def _pictures(subject: Subject, given: Twin, figures: Path) -> list[Picture]:
+    layers = _layers(subject)
+    seen = viewpoint(*bounds_mm(given.surface, layers))
+    draw = view.write_picture if view.can_render() else view.write_flat_picture
+    pictures = []
+    for k, (layer, (side, _)) in enumerate(zip(layers, subject.measured, strict=True)):
+        path = figures / f"twin-{k}.png"
+        draw(path, [layer], surface=given.surface, seen=seen)
+        alt = f"{side.label} as tubes in the perfusion volume, {seen.words}"
+        pictures.append(Picture(path.stem, alt, path.read_bytes(), "image/png"))
+    return pictures
+
+
+def _setup(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    domain, root, cast, flow = (facts[name] for name in ("domain", "root", "cast", "perfusion"))
+    entries = [
+        ("perfusion volume", f"{measure(domain['volume_mm3'] / 1000.0)}{THIN}ml, {_made(domain)}"),
+        (
+            "of the cast inside it",
+            f"{percent(cast['length_inside_share'])} of the length, {percent(cast['volume_inside_share'])} of the "
+            f"volume, {percent(cast['terminals_inside_share'])} of the terminals",
+        ),
+        ("root", f"{point(root['position_mm'])} mm; radius of the cast there {measure(root['radius_mm'])}{THIN}mm"),
+    ]
+    if cast["n_terminals_left_out"]:
+        entries.append(
+            (
+                "left out of the cast",
+                f"{count(cast['n_terminals_left_out'])} of {count(cast['n_terminals_given'])} terminals, on vessels "
+                "before it enters the perfusion volume",
+            )
+        )
+    if root["n_segments_given"]:
+        entries.append(
+            (
+                "given of the cast",
+                f"its first {root['generations_given']} generations, {count(root['n_segments_given'])} segments, with "
+                "their radii",
+            )
+        )
+    return [
+        *entries,
+        (
+            "flow and pressures",
+            f"{measure(flow['flow_ml_min'])}{THIN}ml/min through the root, {measure(flow['root_pressure_mmhg'])} mmHg "
+            f"there and {measure(flow['terminal_pressure_mmhg'])} mmHg at every terminal (preset {flow['preset']})",
+        ),
+        ("blood", f"viscosity {measure(flow['viscosity_cp'])}{THIN}cP, branching exponent {measure(flow['gamma'])}"),
+    ]
+
+
+def _made(domain: Mapping[str, Any]) -> str:
+    if domain["kind"] == "hull":
+        return (
+            f"the closed hull of the cast: balls of {measure(domain['closing_mm'])}{THIN}mm cannot get in, and "
+            f"{measure(domain['margin_mm'])}{THIN}mm around it"
+        )
+    gaps = f", gaps narrower than {measure(2 * domain['closing_mm'])}{THIN}mm closed" if domain["closing_mm"] else ""
+    return f"{domain['source']}, a {domain['kind']}{gaps}"
+
+
+def _scaling(subject: Subject, facts: Mapping[str, Any]) -> Table:
+    head = [Cell("", "head"), *(Cell(side.label) for side, _ in subject.measured)]
+    trees = facts["trees"]
+    root = facts["root"]["radius_mm"]
+    rows = [
+        ["terminals", *(count(analysis.summary["n_terminals"]) for _, analysis in subject.measured)],
+        ["root radius (mm)", measure(root), *(measure(tree["root_radius_mm"]) for tree in trees)],
+        ["that over the cast's", "1", *(measure(tree["root_radius_to_cast"]) for tree in trees)],
+        ["volume (ml)", *(measure(analysis.summary["volume_mm3"] / 1000.0) for _, analysis in subject.measured)],
+        [
+            "share of the perfusion volume",
+            *(
+                percent(analysis.summary["volume_mm3"] / facts["domain"]["volume_mm3"])
+                for _, analysis in subject.measured
+            ),
+        ],
+    ]
+    body = [[Cell(row[0], "head"), *(Cell(text) for text in row[1:])] for row in rows]
+    return Table("Size of the trees.", [head], body, "report.json", small=True)
+
+
+def _filling(subject: Subject) -> Table:
+    measures = (
+        ("distance_mean_mm", "mean distance to the nearest terminal (mm)"),
+        ("distance_median_mm", "median (mm)"),
+        ("distance_q95_mm", "95 % quantile (mm)"),
+        ("distance_max_mm", "farthest (mm)"),
+        ("evenness", "mean over that of random terminals"),
+    )
+    head = [Cell("", "head"), *(Cell(side.label) for side, _ in subject.measured)]
+    body = [
+        [Cell(label, "head"), *(Cell(measure((analysis.coverage or {}).get(key))) for _, analysis in subject.measured)]
+        for key, label in measures
+    ]
+    return Table("Coverage: points of the perfusion volume.", [head], body, "report.json", small=True)
+
+
+def _scaling_words(facts: Mapping[str, Any]) -> str:
+    drop = facts["perfusion"]["root_pressure_mmhg"] - facts["perfusion"]["terminal_pressure_mmhg"]
+    said = "; ".join(
+        f"{measure(tree['pressure_drop_at_cast_root_mmhg'])} mmHg for {tree['source']}" for tree in facts["trees"]
+    )
+    return (
+        "Scaling: in the model all radii of a tree go with the fourth root of flow over pressure drop, and its shape "
+        f"does not depend on either. Between root and terminals {measure(drop)} mmHg are spent here; the root would "
+        f"be as thick as the cast's at {said}. A cast ends where its image or resin does, so that its terminals are "
+        "no arterioles: trees of as many terminals have as many generations, and are compared with it on these."
+    )
