@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Generator, Iterator
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from generator.checkpoint import State
 from generator.config import Config
 from generator.domain import Domain
 from generator.domains import make_domain
@@ -17,10 +18,13 @@ from generator.geometry.stage import GeometryStage
 from generator.growth.growth import Growth, Step
 from generator.growth.insertion_order import spread_order
 from generator.growth.root_tree import RootTree
+from generator.kept import below, with_prefix
 from generator.topology.stage import TopologyStage
 from vascval.core.errors import InputError
 from vascval.core.tree import Tree
 from vascval.io.trees import read_tree
+
+_STAGES = {"cco": ["growth"], "geometry": ["growth", "geometry"], "full": ["growth", "topology", "geometry"]}
 
 
 @dataclass
@@ -37,12 +41,19 @@ class Stage:
 
 @dataclass
 class Run:
-    """One tree being made. Iterate over :meth:`steps`; what there is can be had at any time from :meth:`tree`."""
+    """One tree being made. Iterate over :meth:`steps`; what there is can be had at any time from :meth:`tree`.
+
+    At each step, before the iterator is left off, and while ``settled`` is true, :meth:`state` is all that it takes to
+    go on: another run of the same configuration that is given it by :meth:`restore` ends in the same tree, bit for bit.
+    """
 
     config: Config
     domain: Domain
     growth: Growth
     stages: list[Stage] = field(default_factory=list)
+    settled: bool = False
+    _until: int | None = None  # terminals at which growth pauses next; None: to be decided
+    _searched: bool = False
     _optimised: Tree | None = None
 
     @classmethod
@@ -55,61 +66,106 @@ class Run:
         growth = Growth(
             domain, config.flow(), root, count, options=config.growth_options(), rng=rng, terminals_mm=terminals
         )
-        return cls(config, domain, growth)
+        stages = [Stage(name, 0.0, 0.0) for name in _STAGES[config.method]]
+        return cls(config, domain, growth, stages, _searched=config.method != "full")
 
-    def steps(self) -> Iterator[tuple[str, Step]]:
+    def steps(self) -> Generator[tuple[str, Step], None, None]:
         """The name of the stage and where it stands, again and again until all is done (Algorithm 1 of the paper)."""
-        full, optimised = self.config.method == "full", self.config.method != "cco"
-        growth, topology, geometry = (Stage(name, 0.0, 0.0) for name in ("growth", "topology", "geometry"))
-        self.stages += [growth, *([topology] if full else []), *([geometry] if optimised else [])]
         target = self.growth.n_terminals
-        searched = not full
-        while True:
-            until = min(target, self._pause(searched))
-            began = time.perf_counter()
-            for step in self.growth.steps(until):
-                yield growth.name, step
-                now = time.perf_counter()
-                growth.seconds, growth.volume_mm3, began = growth.seconds + now - began, step.volume_mm3, now
-            done = until == target or self.growth.stopped_at_thinnest
-            if done or not searched:
-                growth.volume_mm3 = self.growth.tree().volume_mm3
-            if not searched:
-                yield from self._search(topology)
-                searched = True
+        done = False
+        while not done:
+            if self._until is None:
+                self._until = min(target, self._pause())
+            yield from self._grow(self._until)
+            done = self._until == target or self.growth.stopped_at_thinnest
+            if not self._searched:
+                yield from self._search()
             elif not done:
-                parent, position = self.growth.snapshot()
-                self.growth.put(parent, self.geometry.relax(parent, position))
-                geometry.seconds += time.perf_counter() - began
-            if done:
-                break
-        if optimised:
-            yield geometry.name, Step(0, 1, self.growth.volume_mm3)
-            began = time.perf_counter()
-            self._optimised = self.geometry.finish(*self.growth.snapshot()).tree
-            geometry.seconds += time.perf_counter() - began
-            geometry.volume_mm3, geometry.solves = self._optimised.volume_mm3, self.geometry.solves
-            yield geometry.name, Step(1, 1, geometry.volume_mm3)
+                self._relax()
+            self._until = target if done else None
+        if self.config.method != "cco":
+            yield from self._finish()
 
-    def _pause(self, searched: bool) -> int:
+    def state(self) -> State:
+        """Where the run stands, as copies."""
+        record = {"stages": [asdict(stage) for stage in self.stages], "until": self._until, "searched": self._searched}
+        return State(record, with_prefix("growth", self.growth.state()))
+
+    def restore(self, state: State) -> None:
+        """Take over what :meth:`state` gave; the seconds of the stages go on from there.
+
+        :raises InputError: when it is not sound; do not go on from here then.
+        """
+        record = state.record
+        try:
+            stages = [Stage(**stage) for stage in record["stages"]]
+            self._until, self._searched = record["until"], bool(record["searched"])
+            sound = [stage.name for stage in stages] == [stage.name for stage in self.stages]
+            sound = sound and (self._until is None or 1 <= int(self._until) <= self.growth.n_terminals)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError("does not say where the run stood; begin the run anew") from error
+        if not sound:
+            raise InputError("says of other stages than the run has; begin the run anew")
+        self.growth.restore(below("growth", state.arrays))
+        self.stages = stages
+        for stage in stages:
+            if stage.name == "geometry":
+                self.geometry.solves = stage.solves or 0
+
+    def _stage(self, name: str) -> Stage:
+        return next(stage for stage in self.stages if stage.name == name)
+
+    def _pause(self) -> int:
         """The number of terminals at which growth pauses next."""
-        if not searched:
+        if not self._searched:
             return self.config.topology.at
         if self.config.method == "cco" or not self.geometry.during_growth:
             return self.growth.n_terminals
         return self.growth.n_grown + self.config.geometry.interval(self.growth.n_grown)
 
-    def _search(self, stage: Stage) -> Iterator[tuple[str, Step]]:
-        """The topology of the tree as it is now; what was found stays when the search is left off."""
+    def _grow(self, until: int) -> Iterator[tuple[str, Step]]:
+        stage, began = self._stage("growth"), time.perf_counter()
+        for step in self.growth.steps(until):
+            now = time.perf_counter()
+            stage.seconds, stage.volume_mm3, began = stage.seconds + now - began, step.volume_mm3, now
+            yield stage.name, step
+        if until == self.growth.n_terminals or self.growth.stopped_at_thinnest or not self._searched:
+            stage.volume_mm3 = self.growth.tree().volume_mm3
+
+    def _relax(self) -> None:
+        """The growing tree nearer to its best geometry."""
+        stage, began = self._stage("geometry"), time.perf_counter()
+        parent, position = self.growth.snapshot()
+        self.settled = True
+        position = self.geometry.relax(parent, position)
+        self.settled = False
+        self.growth.put(parent, position)
+        stage.seconds, stage.solves = stage.seconds + time.perf_counter() - began, self.geometry.solves
+
+    def _finish(self) -> Iterator[tuple[str, Step]]:
+        stage = self._stage("geometry")
+        yield stage.name, Step(0, 1, self.growth.volume_mm3)
         began = time.perf_counter()
+        self.settled = True
+        self._optimised = self.geometry.finish(*self.growth.snapshot()).tree
+        self.settled = False
+        stage.seconds += time.perf_counter() - began
+        stage.volume_mm3, stage.solves = self._optimised.volume_mm3, self.geometry.solves
+        yield stage.name, Step(1, 1, stage.volume_mm3)
+
+    def _search(self) -> Iterator[tuple[str, Step]]:
+        """The topology of the tree as it is now; what was found stays when the search is left off."""
+        stage, began = self._stage("topology"), time.perf_counter()
         try:
             for step in self.topology.search(*self.growth.snapshot()):
-                stage.seconds, stage.volume_mm3 = time.perf_counter() - began, step.best_mm3
+                now = time.perf_counter()
+                stage.seconds, stage.volume_mm3, began = stage.seconds + now - began, step.best_mm3, now
                 yield stage.name, Step(step.n_tests, step.n_target, step.best_mm3)
         finally:
             self.growth.put(*self.topology.best())
-            stage.seconds, stage.tests = time.perf_counter() - began, self.topology.tests
+            stage.seconds, stage.tests = stage.seconds + time.perf_counter() - began, self.topology.tests
             stage.volume_mm3 = self.growth.tree().volume_mm3
+        self._searched = True
 
     @cached_property
     def topology(self) -> TopologyStage:
@@ -129,9 +185,7 @@ class Run:
         return [path for path in files if path is not None]
 
 
-def _start(
-    config: Config, domain: Domain, rng: np.random.Generator
-) -> tuple[np.ndarray | RootTree, np.ndarray | None]:
+def _start(config: Config, domain: Domain, rng: np.random.Generator) -> tuple[np.ndarray | RootTree, np.ndarray | None]:
     """The root, or root tree, and the terminals if they are given."""
     root: np.ndarray | RootTree | None = getattr(domain, "root_mm", None)
     terminals = None

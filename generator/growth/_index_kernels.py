@@ -192,3 +192,20 @@ def nearest(grid, segment, x, y, z, mark, near, distance):
         if found == near.size and safe > 0.0 and distance[found - 1] <= safe * safe:
             break
     return found
+
+
+@njit
+def follow(head, link, met):
+    """Mark in ``met`` the entries on all lists that begin at ``head`` (K,) and go on by ``link``; their number.
+
+    -1 if a list leads out of ``met`` or to an entry that was met already: then these are no lists.
+    """
+    found = 0
+    for e in head:
+        while e != -1:
+            if e < 0 or e >= met.size or met[e]:
+                return -1
+            met[e] = True
+            found += 1
+            e = link[e]
+    return found

@@ -20,6 +20,7 @@ from generator.growth._records import Rules
 from generator.growth.root_tree import RootTree
 from generator.growth.state import GrowthState
 from generator.haemodynamics import Perfusion
+from generator.kept import below, fits, set_words, with_prefix, words_of
 from vascval.core.errors import ComputationError, InputError
 from vascval.core.tree import Tree
 
@@ -116,10 +117,8 @@ class Growth:
         self._spacing_mm = self.options.spacing * float(np.cbrt(domain.volume_mm3))
         self._points = np.zeros((0, 3))
         self._outcome = np.zeros(0, np.int8)
-        self._state = GrowthState(
-            domain, perfusion, self.root_tree, self.n_terminals, apart=self.options.apart > 0.0
-        )
-        self._measured = 0
+        self._state = GrowthState(domain, perfusion, self.root_tree, self.n_terminals, apart=self.options.apart > 0.0)
+        self._measured = self._mendings = 0
         self._scratch = np.zeros(self.options.n_connections, np.int32), np.zeros(self.options.n_connections)
         self.stopped_at_thinnest = False
 
@@ -156,6 +155,46 @@ class Growth:
         self._state.put(parent, position_mm)
         self._measured = 0
 
+    def state(self) -> dict[str, np.ndarray]:
+        """All that decides how growth goes on, as plain arrays that are copies; sound between two steps."""
+        rules = self._rules
+        kept = {
+            "rng": words_of(self.rng),
+            "points": self._points.copy(),
+            "outcome": self._outcome.copy(),
+            "progress": np.array([self._measured, self._mendings, self.stopped_at_thinnest], np.int64),
+            "rules": np.array([rules.diameters, rules.shortest_mm, rules.merge_mm, rules.apart], np.float64),
+        }
+        if self._given is not None:
+            kept["given"] = self._given.copy()
+        return {**kept, **with_prefix("tree", self._state.state())}
+
+    def restore(self, kept: dict[str, np.ndarray]) -> None:
+        """Take over what :meth:`state` gave for growth with the same parameters; it goes on to the same tree.
+
+        :raises InputError: when it is not sound or of other parameters; do not go on from here then.
+        """
+        kinds: dict[str, tuple[str, tuple[int | None, ...]]] = {
+            "rng": ("uint64", (6,)), "points": ("float64", (None, 3)), "outcome": ("int8", (None,)),
+            "progress": ("int64", (3,)), "rules": ("float64", (4,)),
+        }  # fmt: skip
+        if self._given is not None:
+            kinds["given"] = ("float64", (None, 3))
+        if not fits(kept, kinds) or len(kept["points"]) != len(kept["outcome"]):
+            raise InputError("lacks a part of the growth; begin the run anew")
+        points = np.vstack([kept["points"], kept.get("given", np.zeros((0, 3)))])
+        low, high = self._state.grid.bounds_mm
+        sound = ((points >= low) & (points <= high)).all() and self._state.restore(below("tree", kept))
+        if not sound or self._state.store.counts[3] > len(kept["points"]):
+            raise InputError("holds a growing tree that is not sound; begin the run anew")
+        set_words(self.rng, kept["rng"])
+        self._points, self._outcome = kept["points"].copy(), kept["outcome"].copy()
+        self._given = kept["given"].copy() if self._given is not None else None
+        self._measured, self._mendings = (int(value) for value in kept["progress"][:2])
+        self.stopped_at_thinnest = bool(kept["progress"][2])
+        diameters, shortest, merge, apart = (float(value) for value in kept["rules"])
+        self._rules = self._rules._replace(diameters=diameters, shortest_mm=shortest, merge_mm=merge, apart=apart)
+
     def steps(self, until: int | None = None) -> Iterator[Step]:
         """Grow, a fraction of a second at a time, until all terminals are placed or the thinnest radius is reached.
 
@@ -164,28 +203,28 @@ class Growth:
         :raises ComputationError: when ``thinnest_mm`` cannot be kept and ``at_thinnest`` is ``error``, or vessels
             cannot be kept apart.
         """
-        pace, rounds = 100, 0
+        pace = 100
         goal = self.n_terminals if until is None else min(until, self.n_terminals)
         while True:
             began = time.perf_counter()
             if not self.begun:
                 self._begin()
             self._advance(min(self.n_grown + pace, goal))
-            if self.n_grown >= goal or self.stopped_at_thinnest:
-                rounds += 1
-                if goal < self.n_terminals or not self._mend_overlaps(rounds):
-                    break
+            here = self.n_grown >= goal or self.stopped_at_thinnest
+            if here and (goal < self.n_terminals or not self._mend_overlaps()):
+                break
             took = time.perf_counter() - began
             pace = int(max(50, pace * min(2.0, _STEP_S / max(took, 1e-3))))
             yield Step(self.n_grown, self.n_terminals, self.volume_mm3)
         yield Step(self.n_grown, self.n_terminals, self.volume_mm3)
 
-    def _mend_overlaps(self, rounds: int) -> bool:
+    def _mend_overlaps(self) -> bool:
         """Take vessels out that have come to overlap as radii grew; their terminals are to be grown again."""
         if self.options.apart == 0.0:
             return False
         dropped = self._state.drop_overlapping(self.options.apart)
-        if len(dropped) and rounds > _MENDINGS:
+        self._mendings += len(dropped) > 0
+        if self._mendings > _MENDINGS:
             raise ComputationError(
                 f"{len(dropped)} terminals still overlap other vessels after {_MENDINGS} rounds of growing them anew; "
                 "grow fewer terminals or let vessels overlap"

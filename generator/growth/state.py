@@ -8,15 +8,18 @@ from generator.domain import Domain
 from generator.growth import _growth_kernels as kernels
 from generator.growth import _overlap_kernels as overlaps
 from generator.growth._grid import SegmentGrid
+from generator.growth._index_kernels import follow
 from generator.growth._records import SEGMENT, VISIT, Stems, Store
 from generator.growth.root_tree import RootTree
 from generator.haemodynamics import Perfusion, perfused_tree
+from generator.kept import below, fits, with_prefix
 from vascval.core.errors import ComputationError
 from vascval.core.ordering import root_first
 from vascval.core.tree import Topology, Tree
 
 _THICK = 0.5
 """Vessels with a radius beyond this many cells of the grid are listed instead of being looked for in it."""
+_OF_STEMS = ("top", "n", "cost")
 
 
 class GrowthState:
@@ -130,11 +133,78 @@ class GrowthState:
         self.put(*_without(parent, position, lost, self.store.n_fixed))
         return dropped
 
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that decides how growth goes on, as plain arrays that are copies."""
+        store, stems = self.store, self.stems
+        return {
+            "segment": store.segment[: self.n_nodes].view(np.uint8).reshape(self.n_nodes, -1).copy(),
+            "counts": store.counts.copy(),
+            "thick": store.thick[: store.counts[5]].copy(),
+            "thin": store.thin.copy(),
+            **with_prefix("stems", {name: getattr(stems, name).copy() for name in _OF_STEMS}),
+            **with_prefix("grid", self.grid.state()),
+        }
+
+    def restore(self, kept: dict[str, np.ndarray]) -> bool:
+        """Take over what :meth:`state` gave for the same root tree; whether it is sound, and of no use if not.
+
+        The kernels trust every index that they meet: so all are checked here, and that lists end.
+        """
+        store, stems = self.store, self.stems
+        n_stems, wide = stems.top.size, SEGMENT.itemsize
+        kinds: dict[str, tuple[str, tuple[int | None, ...]]] = {
+            "segment": ("uint8", (None, wide)), "counts": ("int64", (6,)), "thick": ("int32", (None,)),
+            "thin": ("float64", (1,)), "stems.top": ("int32", (n_stems,)), "stems.n": ("float64", (n_stems,)),
+            "stems.cost": ("float64", (n_stems,)),
+        }  # fmt: skip
+        if not fits(kept, kinds) or len(kept["segment"]) > store.segment.size:
+            return False
+        segment = np.ascontiguousarray(kept["segment"]).view(SEGMENT).ravel()
+        if not self._is_sound(segment, kept["counts"], kept["thick"], kept["stems.top"]):
+            return False
+        store.segment[: segment.size] = segment
+        store.counts[:], store.thin[:] = kept["counts"], kept["thin"]
+        store.thick[: kept["thick"].size] = kept["thick"]
+        for name in _OF_STEMS:
+            getattr(stems, name)[:] = kept[f"stems.{name}"]
+        return self.grid.restore(below("grid", kept))
+
+    def _is_sound(self, segment: np.ndarray, counts: np.ndarray, thick: np.ndarray, top: np.ndarray) -> bool:
+        n, fixed = segment.size, self.root_tree
+        numbers = [name for name in SEGMENT.names or () if SEGMENT[name] == np.float64]
+        leaves = np.count_nonzero(segment["child"][self.store.n_fixed :] < 0)
+        if n < self.store.n_fixed or counts[0] != n or counts[1] != leaves or (counts < 0).any():
+            return False
+        if counts[2] >= 2**31 or counts[5] != thick.size or thick.size > self.store.thick.size:
+            return False
+        if not all(np.isfinite(segment[name]).all() for name in numbers):
+            return False
+        if not (_within(thick, 1, n) and _within(top, -1, n) and _within(segment["stem"], 0, top.size)):
+            return False
+        met = np.zeros(n, bool)
+        if follow(segment["child"], segment["sibling"], met) != n - 1 or met[0]:
+            return False
+        parent, child, sibling = segment["parent"], segment["child"], segment["sibling"]
+        has, goes_on = np.flatnonzero(child >= 0), np.flatnonzero(sibling >= 0)
+        kin = (parent[child[has]] == has).all() and (parent[sibling[goes_on]] == parent[goes_on]).all()
+        if not kin or parent[0] != -1 or (parent[: fixed.parent.size] != fixed.parent).any():
+            return False
+        end = np.column_stack([segment[name] for name in ("bx", "by", "bz")])
+        start = np.column_stack([segment[name] for name in ("ax", "ay", "az")])
+        low, high = self.grid.bounds_mm
+        inside = ((end[fixed.parent.size :] >= low) & (end[fixed.parent.size :] <= high)).all()
+        same = (end[: fixed.parent.size] == fixed.position_mm).all() and (start[1:] == end[parent[1:]]).all()
+        return bool(inside and same)
+
     def _fill(self, parent: np.ndarray, position_mm: np.ndarray) -> None:
         self.stems.top[:] = -1
         self.stems.n[:] = 0
         kernels.load(self.store, self.stems, parent.astype(np.int32), np.ascontiguousarray(position_mm))
         self.store.segment["radius"][: self.store.n_fixed] = self.root_tree.radius_mm
+
+
+def _within(numbers: np.ndarray, first: int, end: int) -> bool:
+    return bool(((numbers >= first) & (numbers < end)).all())
 
 
 def _without(

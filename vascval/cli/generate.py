@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +12,9 @@ import click
 
 from vascval.cli import sources
 from vascval.cli.console import note, progress, say, table, write_json
+from vascval.cli.interruption import held_back
 from vascval.cli.options import json_option
+from vascval.core.errors import InputError
 
 if TYPE_CHECKING:
     from generator.framework import Run
@@ -28,7 +32,10 @@ Examples:
 
 \b
 Presets: karch-box (the benchmark box) and portal-vein (a liver-like shape of 1,500 cm^3).
-Ctrl-C writes what has grown so far.
+Ctrl-C writes what has grown so far to TREE.vtp, if there is no such file yet, and all
+that it takes to go on to the checkpoint, as is done every minute:
+  vascval generate my.toml -o tree.vtp --resume tree.vtp.checkpoint
+The checkpoint is removed when the tree is done.
 """,
 )
 @click.argument("config", metavar="PRESET_OR_TOML")
@@ -40,29 +47,65 @@ Ctrl-C writes what has grown so far.
     "--set", "changes", multiple=True, metavar="KEY=VALUE",
     help="Change a key of the configuration, such as n_terminals=500 or domain.box_mm=90,70,16; may be repeated.",
 )  # fmt: skip
+@click.option(
+    "--checkpoint", type=click.Path(path_type=Path), metavar="FILE",
+    help="Where the run is kept while it lasts.  [default: TREE.vtp.checkpoint]",
+)  # fmt: skip
+@click.option(
+    "--checkpoint-every", "every_s", type=click.FloatRange(min=0), default=60.0, metavar="SECONDS",
+    help="How often.  [default: 60]",
+)  # fmt: skip
+@click.option(
+    "--resume", type=click.Path(path_type=Path), metavar="FILE",
+    help="Go on from this checkpoint; give the same configuration.",
+)  # fmt: skip
 @json_option
-def generate(config: str, output: Path, changes: tuple[str, ...], json_file: str | None) -> None:
+def generate(
+    config: str,
+    output: Path,
+    changes: tuple[str, ...],
+    checkpoint: Path | None,
+    every_s: float,
+    resume: Path | None,
+    json_file: str | None,
+) -> None:
     """Grow a tree by constrained constructive optimisation: least volume at given flow and pressures.
 
     The tree holds Poiseuille's and Murray's laws, equal flow and equal pressure at all terminals. The same
-    configuration and seed give the same tree.
+    configuration and seed give the same tree, however often the run was interrupted and resumed.
     """
     if output.suffix.lower() not in (".vtp", ".swc"):
         raise click.BadParameter(f"{output} ends in neither .vtp nor .swc", param_hint="-o")
-    sources.check_file(output, [])
+    checkpoint = checkpoint or resume or output.with_name(f"{output.name}.checkpoint")
+    for path in (output, checkpoint):
+        sources.check_file(path, [])
     sources.check_json(json_file)
+    if checkpoint.absolute() == output.absolute():
+        raise click.BadParameter(f"{checkpoint} is the tree too", param_hint="--checkpoint")
+    from vascval.io.locks import claimed
+
+    with claimed(output), claimed(checkpoint):
+        _generate(config, output, changes, Keeping(checkpoint, every_s, resume), json_file)
+
+
+def _generate(config: str, output: Path, changes: tuple[str, ...], keeping: Keeping, json_file: str | None) -> None:
     from generator.config import load
     from generator.framework import Run
     from vascval.io.provenance import provenance
     from vascval.io.trees import write_tree
 
+    had = output.exists()
     run = Run.of(load(config, changes))
     for sentence in run.domain.notes:
         note(sentence)
     origin = provenance(
         command="generate", config=run.config.model_dump(mode="json"), seed=run.config.seed, inputs=run.inputs()
     )
-    interrupted = _grow(run)
+    keeping.begin(run, origin)
+    interrupted = _grow(run, keeping)
+    if interrupted is not None and had:
+        note(f"interrupted at {run.growth.n_grown:,} terminals; {output} is left as it was")
+        raise interrupted
     tree = run.tree()
     write_tree(tree, output, provenance=origin)
     document = _document(run, tree)
@@ -74,18 +117,73 @@ def generate(config: str, output: Path, changes: tuple[str, ...], json_file: str
     if interrupted is not None:
         note(f"interrupted at {document['n_terminals']:,} terminals; they are in {output}")
         raise interrupted
+    keeping.end()
 
 
-def _grow(run: Run) -> KeyboardInterrupt | None:
-    """Runs all stages; an interruption ends them once something has grown, and is returned."""
-    with progress() as observer:
+class Keeping:
+    """The checkpoint of a run: where it is, how often it is written, and which one the run goes on from."""
+
+    def __init__(self, path: Path, every_s: float, resume: Path | None) -> None:
+        self.path, self.every_s, self.resume = path, every_s, resume
+
+    def begin(self, run: Run, origin: Mapping[str, Any]) -> None:
+        """Take up the run that is to be resumed; one that might be is not overwritten.
+
+        :raises InputError: when it cannot be resumed, or there is a checkpoint that nobody asked to.
+        """
+        from generator import checkpoint
+
+        self._run, self._origin, self._last = run, origin, time.monotonic()
+        if self.resume is not None:
+            state = checkpoint.read(self.resume, origin)
+            with sources.about(self.resume):
+                run.restore(state)
+        elif self.path.exists():
+            raise InputError(
+                f"{self.path}: is the checkpoint of an interrupted run; go on from it with --resume, or remove it"
+            )
+
+    def write(self) -> bool:
+        """Write it now. A disk that is full does not end the run: the last checkpoint stays, and a note is made."""
+        from generator import checkpoint
+
         try:
-            for name, step in run.steps():
+            checkpoint.write(self.path, self._run.state(), self._origin)
+        except InputError as error:
+            note(f"no checkpoint: {error}")
+            return False
+        finally:
+            self._last = time.monotonic()
+        return True
+
+    def write_if_due(self) -> None:
+        if time.monotonic() - self._last >= self.every_s:
+            self.write()
+
+    def end(self) -> None:
+        """The run is done, and its checkpoint not needed any more."""
+        self.path.unlink(missing_ok=True)
+
+
+def _grow(run: Run, keeping: Keeping) -> KeyboardInterrupt | None:
+    """Runs all stages; an interruption ends them once something has grown, and is returned."""
+    steps = run.steps()
+    at_step = False
+    with progress() as observer, held_back(unless=lambda: run.settled or not run.growth.begun) as held:
+        try:
+            for name, step in steps:
+                at_step = True
                 if observer is not None:
                     observer(name, step.n_terminals, step.n_target)
+                held.release()
+                keeping.write_if_due()
+                at_step = False
         except KeyboardInterrupt as interruption:
             if not run.growth.begun:
                 raise
+            if (at_step or run.settled) and keeping.write():
+                note(f"go on from here with --resume {keeping.path}")
+            steps.close()
             return interruption
     return None
 
@@ -110,9 +208,7 @@ def _document(run: Run, tree: Tree) -> dict[str, Any]:
         "peak_memory_mb": _peak_memory_mb(),
         "evenness": evenness(run.domain, tree.position_mm[tree.topology.terminals]),
         "seconds": sum(stage.seconds for stage in run.stages),
-        "stages": [
-            {name: value for name, value in asdict(stage).items() if value is not None} for stage in run.stages
-        ],
+        "stages": [{name: value for name, value in asdict(stage).items() if value is not None} for stage in run.stages],
     }
 
 
