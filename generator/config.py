@@ -214,7 +214,7 @@ def load(name: str, changes: Sequence[str] = ()) -> Config:
         data: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{name}: cannot be read ({error}); give a TOML file or a preset") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, whole numbers of thousands of digits, nesting
         raise InputError(f"{name}: is no valid TOML ({error}); mend it") from error
     for table, key in ((data, "root_tree"), (data, "terminals_file"), (data.get("domain"), "file")):
         if isinstance(table, dict) and isinstance(table.get(key), str):
@@ -278,4 +278,4 @@ def _sentence(error: ValidationError) -> str:
     if first["type"] == "missing":
         return f"{where} is missing; add it or begin with a preset ({', '.join(presets())})"
     more = f" ({error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    return f"{where + ': ' if where else ''}{what[0].lower()}{what[1:]}{more}"
+    return f"{where + ': ' if where else ''}{what[0].lower()}{what[1:]}{more}; correct it"

@@ -111,4 +111,7 @@ def _numbers(path: Path, rows: list[list[str]]) -> np.ndarray:
 
 def _fans(polygons: list[list[int]]) -> np.ndarray:
     fans = [(p[0], p[k], p[k + 1]) for p in polygons for k in range(1, len(p) - 1)]
-    return np.array(fans, dtype=np.int64).reshape(-1, 3)
+    try:
+        return np.array(fans, dtype=np.int64).reshape(-1, 3)
+    except OverflowError:
+        raise InputError("a polygon names a vertex that is not there; the file is damaged") from None

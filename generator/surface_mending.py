@@ -32,6 +32,8 @@ def mended(points_mm: np.ndarray, faces: np.ndarray, keep: str) -> tuple[np.ndar
         raise InputError(f"the surface has {len(faces)} triangles; a closed one has at least 4")
     notes: list[str] = []
     points, faces = _merged(points, faces, notes)
+    if len(faces) < 4:
+        raise InputError(f"the surface has {len(faces)} triangles with an area; a closed one has at least 4")
     points, faces = _filled(points, faces, notes)
     faces = _turned_alike(faces, notes)
     return _one_body(points, faces, keep, notes)

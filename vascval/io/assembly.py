@@ -18,6 +18,7 @@ from vascval.core.tree import Topology, Tree
 from vascval.io import _graph_kernels as kernels
 
 Keep = Literal["largest", "error"]
+_FARTHEST_MM = 1e9
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ def assemble(sketch: Sketch, *, keep: Keep = "largest", meta: dict[str, Any] | N
     guesses = list(sketch.guesses)
     sketch = replace(sketch, guesses=guesses)
     _require_radii(sketch.radius_mm, "pieces")
+    require_near(sketch.points_mm, sketch.radius_mm)
     sketch = _without_doubles(sketch)
     sketch = _largest(sketch, keep)
     sketch = _without_loops(sketch)
@@ -72,6 +74,13 @@ def _require_radii(radius: np.ndarray, what: str) -> None:
     bad = ~np.isfinite(radius) | (radius < 0)
     if bad.any():
         raise InputError(f"{what} have a radius that is negative or not finite (first: {radius[bad][0]}); mend them")
+
+
+def require_near(points_mm: np.ndarray, radius_mm: np.ndarray) -> None:
+    """Refuses sizes that no vessel has; squares of them would overflow."""
+    largest = max(float(np.abs(values).max(initial=0.0)) for values in (points_mm, radius_mm))
+    if largest > _FARTHEST_MM:
+        raise InputError(f"has a position or radius of {largest:.3g} mm, which no vessel has; mend it or give the unit")
 
 
 def _lengths(sketch: Sketch) -> np.ndarray:

@@ -94,7 +94,7 @@ def positive(path: Path, values: tuple[int, ...], name: str) -> tuple[int, ...]:
 
 def numbered_files(path: Path, text: str) -> list[str]:
     """The file names that a data-file field stands for: one name, or ``pattern first last step``."""
-    pattern = re.fullmatch(r"(\S*%0?\d*[du]\S*)\s+(-?\d+)\s+(-?\d+)\s+(-?\d+)(\s+\d+)?", text)
+    pattern = re.fullmatch(r"(\S*%0?\d{0,2}[du]\S*)\s+(-?\d+)\s+(-?\d+)\s+(-?\d+)(\s+\d+)?", text)
     if pattern is None:
         if "%" in text:
             raise InputError(f"{path}: the data file pattern {text!r} is not understood; name one file or LIST them")

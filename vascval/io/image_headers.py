@@ -46,6 +46,7 @@ def read_header(path: Path) -> Header:
 
 # --- NRRD ---------------------------------------------------------------------------------------------------------
 
+_LONGEST_FIELD = 1000  # the library writes beyond a buffer when it quotes a longer one in an error
 _NRRD_BYTES = {
     **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
     **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
@@ -72,6 +73,8 @@ def _nrrd(path: Path, head: bytes) -> Header:
         if value.startswith("="):
             texts[name] = re.sub(r"\\(.)", lambda match: "\n" if match[1] == "n" else match[1], value[1:])
             continue
+        if len(line) > _LONGEST_FIELD:
+            raise InputError(f"{path}: line {number} of the NRRD header has {len(line):,} characters; it is damaged")
         key = re.sub(r"\s", "", name).lower()
         fields[key] = value.strip()
         if key == "datafile" and fields[key].upper().startswith("LIST"):

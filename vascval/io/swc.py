@@ -80,7 +80,8 @@ def _rows(path: Path) -> tuple[list[str], np.ndarray]:
         rows = np.loadtxt([line for _, line in numbered], usecols=range(7), ndmin=2, comments="#")
     except ValueError:
         raise _what_is_wrong(numbered) from None
-    wrong = np.flatnonzero(~np.isfinite(rows).all(axis=1) | (rows[:, [0, 6]] % 1 != 0).any(axis=1))
+    ids = rows[:, [0, 6]]
+    wrong = np.flatnonzero(~np.isfinite(rows).all(axis=1) | (ids != np.trunc(ids)).any(axis=1))
     if wrong.size:
         raise InputError(f"line {numbered[wrong[0]][0]} has a value that is not finite or a broken id; mend it")
     return [line for line in lines if line.startswith("#")], rows

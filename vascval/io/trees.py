@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from vascval.core.errors import InputError
+from vascval.core.errors import InputError, printable
 from vascval.core.tree import Tree
 from vascval.io import xml_guard
 from vascval.io.assembly import Keep, assemble
@@ -47,7 +47,7 @@ def read_tree(path: Path | str, *, unit: str | None = None, keep: Keep = "larges
     try:
         return _read(path, head, unit, keep)
     except InputError as error:
-        if str(error).startswith(f"{path}:"):
+        if str(error).startswith(printable(f"{path}:")):
             raise
         raise InputError(f"{path}: {error}") from error
     except MemoryError as error:

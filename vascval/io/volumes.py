@@ -30,6 +30,7 @@ SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd", ".tif", ".tiff"
 _SHARE_OF_AVAILABLE = 0.5
 _MAX_SPACING_MM = 1000.0
 _MAX_SPACING_RATIO = 1000.0
+_FARTHEST_MM = 1e9
 _META_KEY = "vascval"
 _GIB = 1024.0**3
 
@@ -61,8 +62,8 @@ class Volume:
         object.__setattr__(self, "values", values)
         for name, shape in (("spacing_mm", (3,)), ("origin_mm", (3,)), ("direction", (3, 3))):
             array = np.array(getattr(self, name), dtype=np.float64)
-            if array.shape != shape or (name != "spacing_mm" and not np.isfinite(array).all()):
-                raise InputError(f"{name} is {array.tolist()}; finite numbers of shape {shape} are needed")
+            if array.shape != shape or (name != "spacing_mm" and not (np.abs(array) <= _FARTHEST_MM).all()):
+                raise InputError(f"{name} is {array.tolist()}; numbers of shape {shape} within 1e9 are needed")
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         check_spacing(self.spacing_mm)
@@ -191,8 +192,8 @@ def _require_memory(path: Path, allowed: int, sizes: Sequence[int], itemsize: in
     needed = math.prod(sizes) * itemsize
     if needed > allowed:
         raise InputError(
-            f"{path}: {' x '.join(map(str, sizes))} voxels need {needed / _GIB:.3g} GiB, {allowed / _GIB:.3g} GiB are "
-            "allowed; crop or downsample it, or allow more (--max-memory)"
+            f"{path}: {' x '.join(map(str, sizes))} voxels need {min(needed, 10**99) / _GIB:.3g} GiB, "
+            f"{allowed / _GIB:.3g} GiB are allowed; crop or downsample it, or allow more (--max-memory)"
         )
 
 

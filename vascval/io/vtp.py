@@ -22,6 +22,7 @@ from vascval.core.columns import COLUMNS
 from vascval.core.errors import InputError
 from vascval.core.ordering import generation, strahler_order
 from vascval.core.tree import Topology, Tree
+from vascval.io.assembly import require_near
 from vascval.io.atomic import atomic_file
 from vascval.io.polydata import PolyData
 from vascval.io.quiet import vtk_messages
@@ -160,6 +161,7 @@ def is_own(data: PolyData) -> bool:
 
 def own_tree(data: PolyData) -> Tree:
     """The tree that :func:`write_vtp` wrote, for poly data of which :func:`is_own` is true."""
+    require_near(data.points, data.cell_data["radius_mm"])
     n = len(data.offsets)
     last = data.connectivity[data.offsets[1:] - 1]
     nodes = np.concatenate((data.connectivity[:1], last))
