@@ -102,12 +102,12 @@ def test_neighbours_and_geodesic_distance_are_those_of_the_voxel_graph(mask: np.
     step = step_lengths(SPACING)
     out, code = np.empty(26, np.int64), np.empty(26, np.int64)
     for i in range(listed.n):
-        m = _geodesic_kernels.neighbours(i, listed.x, listed.row, listed.first, mask.shape[1], out, code)
+        m = _geodesic_kernels.neighbours(i, listed.lattice, out, code)
         near = np.abs(at - at[i]).max(axis=1) == 1
         assert sorted(out[:m].tolist()) == np.flatnonzero(near).tolist()
         pairs += [(i, j) for j in out[:m].tolist()]
         lengths += step[code[:m]].tolist()
-    way = _geodesic_kernels.geodesic(0, listed.x, listed.row, listed.first, mask.shape[1], step)
+    way = _geodesic_kernels.geodesic(0, listed.lattice, step)
     if not pairs:
         assert way.tolist()[0] == 0.0
         return
@@ -165,15 +165,37 @@ def test_thinning_keeps_the_topology_and_loops_are_counted_right(mask: np.ndarra
     assert len(joined.edges) == left.sum() - 1
 
 
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 10**6), st.integers(1, 2000), st.integers(1, 50), st.booleans())
+def test_descending_order_is_that_of_a_stable_sort(seed: int, n: int, different: int, split: bool) -> None:
+    rng = np.random.default_rng(seed)
+    height = rng.choice(rng.normal(size=different) * 100, n)
+    if split:
+        height[rng.random(n) < 0.1] = np.inf
+    assert np.array_equal(_geodesic_kernels.descending(height), np.argsort(-height, kind="stable"))
+
+
+@settings(deadline=None, max_examples=30)
+@given(masks)
+def test_voxels_are_found_where_they_are_and_nowhere_else(mask: np.ndarray) -> None:
+    listed = voxels.from_runs(as_runs(mask), np.ones(3))
+    places = np.stack(np.meshgrid(*(np.arange(-1, n + 1) for n in mask.shape[::-1]), indexing="ij"), axis=-1)
+    places = places.reshape(-1, 3)
+    found = listed.find(places)
+    inside = np.pad(mask, 1)[tuple(places.T[::-1] + 1)]
+    assert np.array_equal(found >= 0, inside)
+    assert np.array_equal(listed.index_xyz(found[inside]), places[inside])
+    assert np.array_equal(listed.index_xyz(slice(1, None, 3)), listed.index_xyz()[1::3])
+
+
 def test_persistence_of_maxima_by_hand() -> None:
     mask = np.zeros((3, 12, 30), dtype=bool)
     mask[1, 2, 2:28] = True  # a trunk along x
     mask[1, 2:9, 15] = True  # a side branch of 6
     listed = voxels.from_runs(as_runs(mask), np.ones(3))
-    way = listed.x.astype(np.float64) + listed.row % 12
-    order = np.argsort(-way, kind="stable")
-    walk = (listed.x, listed.row, listed.first, 12)
-    tip, saddle, _ = _geodesic_kernels.maxima(order, way, np.ones(listed.n), *walk)
+    way = listed.index_xyz()[:, :2].sum(axis=1).astype(np.float64)
+    order = np.argsort(-way, kind="stable").astype(np.int32)
+    tip, saddle, _ = _geodesic_kernels.maxima(order, way, np.ones(listed.n), listed.lattice)
     found = {tuple(listed.index_xyz(t)): (way[t] - way[s] if s >= 0 else np.inf) for t, s in zip(tip, saddle)}
     assert set(found) == {(27, 2, 1), (15, 8, 1)}
     assert found[27, 2, 1] == np.inf

@@ -6,25 +6,21 @@ from vascval.core.jit import njit
 
 
 @njit
-def along_x(offset, x, nx, spacing, square):
+def along_x(span, nx, spacing, square):
     """First pass: squared distance along x to the nearest background voxel of the row."""
-    for row in range(offset.size - 1):
-        a = offset[row]
-        while a < offset[row + 1]:
-            b = a
-            while b + 1 < offset[row + 1] and x[b + 1] == x[b] + 1:
-                b += 1
-            for i in range(a, b + 1):
-                left = x[i] - x[a] + 1.0 if x[a] > 0 else np.inf
-                right = x[b] - x[i] + 1.0 if x[b] < nx - 1 else np.inf
-                square[i] = (min(left, right) * spacing) ** 2
-            a = b + 1
+    for k in range(span.shape[0] - 1):
+        first, size = span[k, 1], span[k + 1, 2] - span[k, 2]
+        for v in range(size):
+            left = v + 1.0 if first > 0 else np.inf
+            right = float(size - v) if first + size < nx else np.inf
+            square[span[k, 2] + v] = (min(left, right) * spacing) ** 2
 
 
 @njit
 def envelope(order, place, begin, end, open_low, open_high, spacing, square, site, value, bound):
-    """Lower envelope of parabolas over one run ``order[begin:end]``; the run's two ends are background unless open."""
-    lowest = place[order[begin]]
+    """Lower envelope of parabolas over the voxels ``order[begin:end]``, a run on one line; its two ends are background
+    unless open."""
+    lowest = place[begin]
     m = end - begin
     if open_low and open_high:
         any_finite = False
@@ -70,52 +66,42 @@ def envelope(order, place, begin, end, open_low, open_high, spacing, square, sit
 
 
 @njit
-def along_lines(order, line, place, size, spacing, square):
-    """Pass along a further axis: ``order`` lists the voxels line by line, ``place`` is the coordinate on the line."""
-    site = np.empty(size + 2)
-    value = np.empty(size + 2)
-    bound = np.empty(size + 2)
-    a = 0
-    while a < order.size:
-        b = a + 1
-        while b < order.size and line[order[b]] == line[order[a]] and place[order[b]] == place[order[b - 1]] + 1:
-            b += 1
-        open_low = place[order[a]] == 0
-        open_high = place[order[b - 1]] == size - 1
-        envelope(order, place, a, b, open_low, open_high, spacing, square, site, value, bound)
-        a = b
-
-
-@njit
-def counting_order(key, n_keys):
-    """Stable order by key."""
-    count = np.zeros(n_keys + 1, np.int64)
-    for i in range(key.size):
-        count[key[i] + 1] += 1
-    for k in range(n_keys):
-        count[k + 1] += count[k]
-    order = np.empty(key.size, np.int32)
-    for i in range(key.size):
-        order[count[key[i]]] = i
-        count[key[i]] += 1
-    return order
-
-
-@njit
-def order_within_slices(offset, x, ny, nz, nx):
-    """Voxels of each slice ordered by x, then y."""
-    order = np.empty(x.size, np.int32)
-    count = np.zeros(nx + 1, np.int64)
-    for z in range(nz):
-        a, b = offset[z * ny], offset[(z + 1) * ny]
-        if a == b:
-            continue
+def along_lines(span, row_offset, n_planes, plane_step, n_rows, row_step, nx, spacing, square):
+    """Pass along a further axis. Plane ``p`` consists of the rows ``p * plane_step + t * row_step``, ``t`` being the
+    coordinate along the axis; its voxels are taken line by line in the order of x."""
+    site = np.empty(n_rows + 2)
+    value = np.empty(n_rows + 2)
+    bound = np.empty(n_rows + 2)
+    count = np.empty(nx + 1, np.int64)
+    order, place = np.empty(1024, np.int64), np.empty(1024, np.int32)
+    for plane in range(n_planes):
         count[:] = 0
-        for i in range(a, b):
-            count[x[i] + 1] += 1
-        for k in range(nx):
-            count[k + 1] += count[k]
-        for i in range(a, b):
-            order[a + count[x[i]]] = i
-            count[x[i]] += 1
-    return order
+        for t in range(n_rows):
+            row = plane * plane_step + t * row_step
+            for k in range(row_offset[row], row_offset[row + 1]):
+                for x in range(span[k, 1], span[k, 1] + span[k + 1, 2] - span[k, 2]):
+                    count[x + 1] += 1
+        for x in range(nx):
+            count[x + 1] += count[x]
+        n = count[nx]
+        if n > order.size:
+            order, place = np.empty(2 * n, np.int64), np.empty(2 * n, np.int32)
+        for t in range(n_rows):
+            row = plane * plane_step + t * row_step
+            for k in range(row_offset[row], row_offset[row + 1]):
+                shift = span[k, 1] - span[k, 2]
+                for i in range(span[k, 2], span[k + 1, 2]):
+                    order[count[i + shift]] = i
+                    place[count[i + shift]] = t
+                    count[i + shift] += 1
+        # count[x] is now where line x ends
+        a = 0
+        for x in range(nx):
+            while a < count[x]:
+                b = a + 1
+                while b < count[x] and place[b] == place[b - 1] + 1:
+                    b += 1
+                open_low = place[a] == 0
+                open_high = place[b - 1] == n_rows - 1
+                envelope(order, place, a, b, open_low, open_high, spacing, square, site, value, bound)
+                a = b

@@ -7,7 +7,7 @@ from vascval.imaging._geodesic_kernels import neighbours
 
 
 @njit
-def skeleton_edges(voxel, number, x, row, first, ny):
+def skeleton_edges(voxel, number, lattice):
     """Pairs (a, b), a < b, of 26-adjacent skeleton voxels; ``number`` maps a voxel to its skeleton point or -1."""
     a = np.empty(13 * voxel.size, np.int32)
     b = np.empty(13 * voxel.size, np.int32)
@@ -15,7 +15,7 @@ def skeleton_edges(voxel, number, x, row, first, ny):
     out = np.empty(26, np.int64)
     code = np.empty(26, np.int64)
     for p in range(voxel.size):
-        m = neighbours(voxel[p], x, row, first, ny, out, code)
+        m = neighbours(voxel[p], lattice, out, code)
         for t in range(m):
             q = number[out[t]]
             if q > p:
@@ -96,19 +96,21 @@ def mark_paths(parent, ends):
 
 
 @njit
-def nearest_points(seed, centre, radius, x, row, first, ny, spacing):
+def nearest_points(label, centre, radius, lattice, spacing):
     """For each voxel the skeleton point of least power distance ``|v - centre|^2 - radius^2``, spread from neighbour
-    to neighbour; ``seed`` holds the skeleton point of the voxels that are one and -1 elsewhere.
+    to neighbour; ``label`` holds the skeleton point of the voxels that are one and -1 elsewhere, and is overwritten.
     """
-    n = x.size
-    label = seed.copy()
+    n = label.size
+    span, run, ny = lattice.span, lattice.run, lattice.ny
     best = np.full(n, np.inf)
     queue = np.empty(n + 1, np.int32)
     waiting = np.zeros(n, np.bool_)
+    axis_x, axis_y, axis_z = np.arange(27) % 3, np.arange(27) // 3 % 3, np.arange(27) // 9
+    square = np.empty((3, 3))
     head, tail, size = 0, 0, 0
     for i in range(n):
         if label[i] >= 0:
-            best[i] = -radius[label[i]] ** 2
+            best[i] = -(radius[label[i]] ** 2)
             queue[tail] = i
             tail += 1
             waiting[i] = True
@@ -117,23 +119,26 @@ def nearest_points(seed, centre, radius, x, row, first, ny, spacing):
     code = np.empty(26, np.int64)
     while size > 0:
         i = queue[head]
-        head = (head + 1) % (n + 1)
+        head = head + 1 if head < n else 0
         size -= 1
         waiting[i] = False
         p = label[i]
-        m = neighbours(i, x, row, first, ny, out, code)
+        k = run[i]
+        x, y, z = span[k, 1] + i - span[k, 2], span[k, 0] % ny, span[k, 0] // ny
+        for c in range(3):
+            square[0, c] = ((x + c - 1) * spacing[0] - centre[p, 0]) ** 2
+            square[1, c] = ((y + c - 1) * spacing[1] - centre[p, 1]) ** 2
+            square[2, c] = ((z + c - 1) * spacing[2] - centre[p, 2]) ** 2
+        m = neighbours(i, lattice, out, code)
         for t in range(m):
-            j = out[t]
-            dx = x[j] * spacing[0] - centre[p, 0]
-            dy = (row[j] % ny) * spacing[1] - centre[p, 1]
-            dz = (row[j] // ny) * spacing[2] - centre[p, 2]
-            power = dx * dx + dy * dy + dz * dz - radius[p] ** 2
+            j, c = out[t], code[t]
+            power = square[0, axis_x[c]] + square[1, axis_y[c]] + square[2, axis_z[c]] - radius[p] ** 2
             if power < best[j]:
                 best[j] = power
                 label[j] = p
                 if not waiting[j]:
                     waiting[j] = True
                     queue[tail] = j
-                    tail = (tail + 1) % (n + 1)
+                    tail = tail + 1 if tail < n else 0
                     size += 1
     return label

@@ -10,54 +10,59 @@ from vascval.core.jit import njit
 
 
 @njit
-def relocate(station, branch, offset, position, tangent, arc, x, row, ny, spacing):
+def relocate(station, branch, offset, position, tangent, arc, lattice, spacing):
     """Move each voxel's station along its branch to the one whose cross-section it lies in; give its arc length."""
-    n = x.size
-    along = np.empty(n)
-    for i in range(n):
-        k = station[i]
-        b = branch[k]
-        px, py, pz = x[i] * spacing[0], (row[i] % ny) * spacing[1], (row[i] // ny) * spacing[2]
-        last = offset[b + 1] - 1
-        first = offset[b]
-        s = 0.0
-        for _ in range(4):
-            s = (
-                (px - position[k, 0]) * tangent[k, 0]
+    along = np.empty(station.size)
+    for r in range(lattice.link.shape[0]):
+        row, x, begin = lattice.span[r]
+        py, pz = (row % lattice.ny) * spacing[1], (row // lattice.ny) * spacing[2]
+        for i in range(begin, lattice.span[r + 1, 2]):
+            k = station[i]
+            b = branch[k]
+            px = (x + i - begin) * spacing[0]
+            last = offset[b + 1] - 1
+            first = offset[b]
+            s = 0.0
+            for _ in range(4):
+                s = (
+                    (px - position[k, 0]) * tangent[k, 0]
+                    + (py - position[k, 1]) * tangent[k, 1]
+                    + (pz - position[k, 2]) * tangent[k, 2]
+                )
+                here = arc[k] + s
+                target = k
+                while target < last and arc[target + 1] - here <= here - arc[target]:
+                    target += 1
+                while target > first and here - arc[target - 1] <= arc[target] - here:
+                    target -= 1
+                if target == k:
+                    break
+                # one station at a time on curves: a far target may lie around a bend
+                k = target
+            along[i] = (
+                arc[k]
+                + (px - position[k, 0]) * tangent[k, 0]
                 + (py - position[k, 1]) * tangent[k, 1]
                 + (pz - position[k, 2]) * tangent[k, 2]
             )
-            here = arc[k] + s
-            target = k
-            while target < last and arc[target + 1] - here <= here - arc[target]:
-                target += 1
-            while target > first and here - arc[target - 1] <= arc[target] - here:
-                target -= 1
-            if target == k:
-                break
-            # one station at a time on curves: a far target may lie around a bend
-            k = target
-        along[i] = (
-            arc[k]
-            + (px - position[k, 0]) * tangent[k, 0]
-            + (py - position[k, 1]) * tangent[k, 1]
-            + (pz - position[k, 2]) * tangent[k, 2]
-        )
-        station[i] = k
+            station[i] = k
     return along
 
 
 @njit
-def centroids(station, n_stations, x, row, ny, spacing):
+def centroids(station, n_stations, lattice, spacing):
     """Number of voxels in each station's slab and the sum of their positions."""
     count = np.zeros(n_stations)
     total = np.zeros((n_stations, 3))
-    for i in range(x.size):
-        k = station[i]
-        count[k] += 1.0
-        total[k, 0] += x[i] * spacing[0]
-        total[k, 1] += (row[i] % ny) * spacing[1]
-        total[k, 2] += (row[i] // ny) * spacing[2]
+    for r in range(lattice.link.shape[0]):
+        row, x, begin = lattice.span[r]
+        py, pz = (row % lattice.ny) * spacing[1], (row // lattice.ny) * spacing[2]
+        for i in range(begin, lattice.span[r + 1, 2]):
+            k = station[i]
+            count[k] += 1.0
+            total[k, 0] += (x + i - begin) * spacing[0]
+            total[k, 1] += py
+            total[k, 2] += pz
     return count, total
 
 
@@ -71,35 +76,38 @@ def inverse_distance(dx, dy, dz, tangent, core):
 
 
 @njit
-def section_sums(station, along, branch, position, tangent, low, high, ramp, near, x, row, ny, spacing):
+def section_sums(station, along, branch, position, tangent, low, high, ramp, near, lattice, spacing):
     """For each branch the sum of ``1 / rho`` over its voxels between ``low`` and ``high``, tapered over ``ramp`` at
     both ends; see :func:`vascval.imaging.refine._radii`. Voxels within ``near`` of the axis are averaged over 27 parts.
     """
     radius_sum = np.zeros(low.size)
     core = 0.25 * spacing.min()
     parts = (np.arange(3) - 1.0) / 3.0
-    for i in range(x.size):
-        k = station[i]
-        b = branch[k]
-        s = along[i]
-        if s <= low[b] or s >= high[b]:
-            continue
-        edge = min(s - low[b], high[b] - s)
-        weight = 1.0 if edge >= ramp[b] else 0.5 - 0.5 * np.cos(np.pi * edge / ramp[b])
-        dx = x[i] * spacing[0] - position[k, 0]
-        dy = (row[i] % ny) * spacing[1] - position[k, 1]
-        dz = (row[i] // ny) * spacing[2] - position[k, 2]
-        value = inverse_distance(dx, dy, dz, tangent[k], core)
-        if value * near > 1.0:
-            value = 0.0
-            for u in parts:
-                for v in parts:
-                    for w in parts:
-                        value += inverse_distance(
-                            dx + u * spacing[0], dy + v * spacing[1], dz + w * spacing[2], tangent[k], core
-                        )
-            value /= 27.0
-        radius_sum[b] += weight * value
+    for r in range(lattice.link.shape[0]):
+        row, x, begin = lattice.span[r]
+        py, pz = (row % lattice.ny) * spacing[1], (row // lattice.ny) * spacing[2]
+        for i in range(begin, lattice.span[r + 1, 2]):
+            k = station[i]
+            b = branch[k]
+            s = along[i]
+            if s <= low[b] or s >= high[b]:
+                continue
+            edge = min(s - low[b], high[b] - s)
+            weight = 1.0 if edge >= ramp[b] else 0.5 - 0.5 * np.cos(np.pi * edge / ramp[b])
+            dx = (x + i - begin) * spacing[0] - position[k, 0]
+            dy = py - position[k, 1]
+            dz = pz - position[k, 2]
+            value = inverse_distance(dx, dy, dz, tangent[k], core)
+            if value * near > 1.0:
+                value = 0.0
+                for u in parts:
+                    for v in parts:
+                        for w in parts:
+                            value += inverse_distance(
+                                dx + u * spacing[0], dy + v * spacing[1], dz + w * spacing[2], tangent[k], core
+                            )
+                value /= 27.0
+            radius_sum[b] += weight * value
     return radius_sum
 
 
@@ -304,13 +312,16 @@ def voxels_beyond(along, station, branch, limit, sign, width):
 
 
 @njit
-def reaches_border(along, station, branch, limit, sign, x, row, ny, nx, nz):
+def reaches_border(along, station, branch, limit, sign, lattice, nx, nz):
     """Does a branch touch the border of the volume beyond ``limit``?"""
     result = np.zeros(limit.size, np.bool_)
-    for i in range(along.size):
-        b = branch[station[i]]
-        if sign[b] != 0 and (along[i] - limit[b]) * sign[b] > 0:
-            y, z = row[i] % ny, row[i] // ny
-            if x[i] == 0 or y == 0 or z == 0 or x[i] == nx - 1 or y == ny - 1 or z == nz - 1:
+    for r in range(lattice.link.shape[0]):
+        row, x, begin = lattice.span[r]
+        y, z, end = row % lattice.ny, row // lattice.ny, lattice.span[r + 1, 2]
+        side = y == 0 or z == 0 or y == lattice.ny - 1 or z == nz - 1
+        for i in range(begin, end):
+            at_border = side or (i == begin and x == 0) or (i == end - 1 and x + end - begin == nx)
+            b = branch[station[i]]
+            if at_border and sign[b] != 0 and (along[i] - limit[b]) * sign[b] > 0:
                 result[b] = True
     return result

@@ -6,38 +6,31 @@ from vascval.core.jit import njit
 
 
 @njit
-def count_runs(slab):
-    """Number of runs of non-zero voxels in each row of a (ny, nx) slab."""
-    ny, nx = slab.shape
-    count = np.zeros(ny, np.int64)
-    for y in range(ny):
-        inside = False
-        for x in range(nx):
-            on = slab[y, x] != 0
-            if on and not inside:
-                count[y] += 1
-            inside = on
-    return count
+def find_runs(block, count, start, stop):
+    """Number of runs of non-zero voxels in each row of a block (nz, ny, nx), and the runs one after another.
 
-
-@njit
-def write_runs(slab, start, stop):
-    """Fill ``start`` and ``stop`` (exclusive) with the runs of a slab, row by row."""
-    ny, nx = slab.shape
-    k = 0
-    for y in range(ny):
-        inside = False
-        for x in range(nx):
-            on = slab[y, x] != 0
-            if on and not inside:
-                start[k] = x
-            elif inside and not on:
-                stop[k] = x
-                k += 1
-            inside = on
-        if inside:
-            stop[k] = nx
-            k += 1
+    :param count: (nz, ny), written.
+    :param start: with ``stop`` (exclusive), written; they have room for ``(nx + 1) // 2`` runs of each row.
+    :returns: how many runs there are.
+    """
+    nz, ny, nx = block.shape
+    n = 0
+    for z in range(nz):
+        for y in range(ny):
+            first = n
+            x = 0
+            while x < nx:
+                while x < nx and block[z, y, x] == 0:
+                    x += 1
+                if x == nx:
+                    break
+                start[n] = x
+                while x < nx and block[z, y, x] != 0:
+                    x += 1
+                stop[n] = x
+                n += 1
+            count[z, y] = n - first
+    return n
 
 
 @njit
@@ -69,7 +62,7 @@ def link_rows(up, start, stop, a, a_end, b, b_end, reach):
 @njit
 def components(row_offset, start, stop, ny, nz, full):
     """Label of the component of each run: 26-connected if ``full``, else 6-connected; labels are first run indices."""
-    up = np.arange(start.size)
+    up = np.arange(start.size).astype(np.int32)
     reach = 1 if full else 0
     for z in range(nz):
         for y in range(ny):
@@ -166,49 +159,70 @@ def merge_runs(row_offset, start, stop, more_offset, more_start, more_stop):
 
 
 @njit
-def expand(row_offset, start, stop):
-    """Voxel list of the runs: row offsets in voxels, the x index and the row of each voxel."""
+def spans(row_offset, start, stop):
+    """``span`` and ``run`` of :class:`vascval.imaging.voxels.Lattice`."""
     n_rows = row_offset.size - 1
-    offset = np.zeros(n_rows + 1, np.int64)
-    for row in range(n_rows):
-        total = offset[row]
-        for k in range(row_offset[row], row_offset[row + 1]):
-            total += stop[k] - start[k]
-        offset[row + 1] = total
-    x = np.empty(offset[-1], np.int32)
-    of_row = np.empty(offset[-1], np.int32)
-    i = 0
+    span = np.empty((start.size + 1, 3), np.int32)
+    n = 0
     for row in range(n_rows):
         for k in range(row_offset[row], row_offset[row + 1]):
-            for v in range(start[k], stop[k]):
-                x[i] = v
-                of_row[i] = row
-                i += 1
-    return offset, x, of_row
+            span[k, 0] = row
+            span[k, 1] = start[k]
+            span[k, 2] = n
+            n += stop[k] - start[k]
+    span[start.size, 0] = -1
+    span[start.size, 1] = 0
+    span[start.size, 2] = n
+    run = np.empty(n, np.int32)
+    for k in range(start.size):
+        run[span[k, 2] : span[k + 1, 2]] = k
+    return span, run
 
 
 @njit
-def neighbour_rows(offset, x, of_row, ny, nz):
-    """(n, 8) for each voxel and each of its eight neighbour rows, where that row reaches x - 1; -1 outside."""
-    n = x.size
-    first = np.full((n, 8), -1, np.int32)
-    n_rows = offset.size - 1
-    for row in range(n_rows):
-        a, a_end = offset[row], offset[row + 1]
+def links(row_offset, start, stop, ny, nz):
+    """(r, 8) the first run of each of the eight neighbour rows that touches each run, corners included; -1 if none."""
+    link = np.full((start.size, 8), -1, np.int32)
+    for row in range(row_offset.size - 1):
+        a, a_end = row_offset[row], row_offset[row + 1]
         if a == a_end:
             continue
         y, z = row % ny, row // ny
-        k = 0
+        q = 0
         for dz in range(-1, 2):
             for dy in range(-1, 2):
                 if dz == 0 and dy == 0:
                     continue
                 if 0 <= y + dy < ny and 0 <= z + dz < nz:
                     other = row + dz * ny + dy
-                    j, j_end = offset[other], offset[other + 1]
-                    for i in range(a, a_end):
-                        while j < j_end and x[j] < x[i] - 1:
+                    j, j_end = row_offset[other], row_offset[other + 1]
+                    for k in range(a, a_end):
+                        while j < j_end and stop[j] < start[k]:
                             j += 1
-                        first[i, k] = j
-                k += 1
-    return first
+                        if j < j_end and start[j] <= stop[k]:
+                            link[k, q] = j
+                q += 1
+    return link
+
+
+@njit
+def find_voxels(row, x, row_offset, span):
+    """The voxel at each place ``x`` of ``row`` (-1: outside the volume), -1 where there is none; by bisection."""
+    found = np.full(row.size, -1, np.int64)
+    for i in range(row.size):
+        if row[i] < 0:
+            continue
+        low, high = row_offset[row[i]], row_offset[row[i] + 1]
+        end = low
+        while low < high:
+            middle = (low + high) // 2
+            if span[middle, 1] <= x[i]:
+                low = middle + 1
+            else:
+                high = middle
+        k = low - 1
+        if k >= end:
+            voxel = span[k, 2] + x[i] - span[k, 1]
+            if voxel < span[k + 1, 2]:
+                found[i] = voxel
+    return found

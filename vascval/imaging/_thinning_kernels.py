@@ -78,16 +78,27 @@ def is_simple(mask, near26, near6):
 
 
 @njit
-def thin(level, n_levels, anchor, x, row, first, ny):
-    """Remove simple voxels level by level (lowest ``level`` first) until none but anchors could go.
+def level_of(thickness, scale):
+    """Whole levels of thickness; infinite ones (no background anywhere) are of level 0."""
+    return int(thickness * scale) if thickness < np.inf else 0
 
-    Within a level voxels are taken first in, first out, so that a vessel is eroded from all sides alike. A voxel that
-    could not go is tried again whenever one of its neighbours has gone.
 
+@njit
+def thin(thickness, scale, anchor, lattice):
+    """Remove simple voxels level by level (lowest first) until none but anchors could go.
+
+    The level of a voxel is its ``thickness`` times ``scale`` (:func:`level_of`). Within a level voxels are taken first
+    in, first out, so that a vessel is eroded from all sides alike. A voxel that could not go is tried again whenever
+    one of its neighbours has gone.
+
+    :param anchor: (n,) bool.
     :returns: (n,) bool, which voxels are left.
     """
-    n = x.size
+    n = thickness.size
     near26, near6 = adjacency_masks()
+    n_levels = 1
+    for i in range(n):
+        n_levels = max(n_levels, level_of(thickness[i], scale) + 1)
     alive = np.ones(n, np.bool_)
     queued = np.ones(n, np.bool_)
     head = np.full(n_levels, -1, np.int32)
@@ -97,7 +108,7 @@ def thin(level, n_levels, anchor, x, row, first, ny):
         if anchor[i]:
             queued[i] = False
             continue
-        k = level[i]
+        k = level_of(thickness[i], scale)
         if head[k] < 0:
             head[k] = i
         else:
@@ -114,7 +125,7 @@ def thin(level, n_levels, anchor, x, row, first, ny):
         head[current] = follow[i]
         follow[i] = -1
         queued[i] = False
-        m = neighbours(i, x, row, first, ny, out, code)
+        m = neighbours(i, lattice, out, code)
         mask = 0
         for t in range(m):
             if alive[out[t]]:
@@ -125,7 +136,7 @@ def thin(level, n_levels, anchor, x, row, first, ny):
         for t in range(m):
             j = out[t]
             if alive[j] and not queued[j] and not anchor[j]:
-                k = max(level[j], current)
+                k = max(level_of(thickness[j], scale), current)
                 queued[j] = True
                 if head[k] < 0:
                     head[k] = j

@@ -19,13 +19,9 @@ def distance_map(voxels: Voxels) -> np.ndarray:
     """
     nz, ny, nx = voxels.shape
     sx, sy, sz = voxels.spacing_mm
+    span = voxels.lattice.span
     square = np.empty(voxels.n)
-    kernels.along_x(voxels.offset, voxels.x, nx, sx, square)
-    y = voxels.row % ny
-    line = (voxels.row // ny) * np.int64(nx) + voxels.x
-    order = kernels.order_within_slices(voxels.offset, voxels.x, ny, nz, nx)
-    kernels.along_lines(order, line, y, ny, sy, square)
-    line = y * np.int64(nx) + voxels.x
-    order = kernels.counting_order(line, ny * nx)
-    kernels.along_lines(order, line, voxels.row // ny, nz, sz, square)
-    return np.sqrt(square)
+    kernels.along_x(span, nx, sx, square)
+    kernels.along_lines(span, voxels.row_offset, nz, ny, ny, 1, nx, sy, square)
+    kernels.along_lines(span, voxels.row_offset, ny, 1, nz, ny, nx, sz, square)
+    return np.sqrt(square, out=square)

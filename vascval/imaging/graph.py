@@ -59,7 +59,7 @@ def spanning_skeleton(voxels: Voxels, left: np.ndarray, thickness_mm: np.ndarray
     voxel = np.flatnonzero(left).astype(np.int32)
     number = np.full(voxels.n, -1, dtype=np.int32)
     number[voxel] = np.arange(voxel.size, dtype=np.int32)
-    a, b = kernels.skeleton_edges(voxel, number, voxels.x, voxels.row, voxels.first, voxels.shape[1])
+    a, b = kernels.skeleton_edges(voxel, number, voxels.lattice)
     thickness = thickness_mm[voxel]
     index = voxels.index_xyz(voxel) * voxels.spacing_mm
     step = np.sqrt(((index[a] - index[b]) ** 2).sum(axis=1))

@@ -161,10 +161,8 @@ def _stations(voxels: Voxels, now: Refined) -> _Stations:
     seed = np.full(voxels.n, -1, dtype=np.int32)
     at = voxels.find(np.rint(position / voxels.spacing_mm).astype(np.int64))
     seed[at[at >= 0]] = np.flatnonzero(at >= 0)
-    grid = (voxels.x, voxels.row, voxels.shape[1], voxels.spacing_mm)
-    of_voxel = _graph_kernels.nearest_points(
-        seed, position, now.radius_mm[branch], voxels.x, voxels.row, voxels.first, voxels.shape[1], voxels.spacing_mm
-    )
+    grid = (voxels.lattice, voxels.spacing_mm)
+    of_voxel = _graph_kernels.nearest_points(seed, position, now.radius_mm[branch], *grid)
     along = kernels.relocate(of_voxel, branch, offset, position, tangent, arc, *grid)
     count, total = kernels.centroids(of_voxel, arc.size, *grid)
     return _Stations(offset, position, tangent, arc, branch, of_voxel, along, count, total)
@@ -204,9 +202,7 @@ def _outward(now: Refined, stations: _Stations, lines: _Fit | None = None) -> np
     return direction
 
 
-def _windows(
-    nodes: _Nodes, now: Refined, stations: _Stations, outward: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _windows(nodes: _Nodes, now: Refined, stations: _Stations, outward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(s,), (s,) the stretch of arc length of each branch that is clear of junctions and rounded tips.
 
     Where a branch is too short for that, at least ``MIN_WINDOW`` of its length about the middle of what is clear.
@@ -289,8 +285,8 @@ def _place_tips(
         beyond = kernels.voxels_beyond(*voxel_of, limit, signs, 2.0 * step) * cell
         area = kernels.voxels_beyond(*voxel_of, limit - sign * reach, signs, 2.0 * step) * cell - beyond
         area = np.where(area > 0, area / reach, np.pi * radius**2)
-        nz, ny, nx = voxels.shape
-        cut = kernels.reaches_border(*voxel_of, limit, signs, voxels.x, voxels.row, ny, nx, nz)
+        nz, _, nx = voxels.shape
+        cut = kernels.reaches_border(*voxel_of, limit, signs, voxels.lattice, nx, nz)
         further = beyond / area - np.where(cut, 0.0, 2.0 * np.sqrt(area / np.pi) / 3.0)
         branch = np.flatnonzero(tip & (lines.weight[:, end] > 0))
         if branch.size == 0:
@@ -329,7 +325,7 @@ def _radii(
     near = 2.0 * float(voxels.spacing_mm.max())
     total = kernels.section_sums(
         stations.of_voxel, stations.along, stations.branch, stations.position, stations.tangent,
-        low, high, ramp, near, voxels.x, voxels.row, voxels.shape[1], voxels.spacing_mm,
+        low, high, ramp, near, voxels.lattice, voxels.spacing_mm,
     )  # fmt: skip
     radius = total * cell / (2.0 * np.pi * np.maximum(window - ramp, 1e-9))
     chord = now.node_mm[1:] - stations.position[stations.offset[:-1]]

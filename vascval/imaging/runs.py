@@ -49,16 +49,17 @@ def from_slabs(shape: tuple[int, int, int], slab: Callable[[int], np.ndarray]) -
     :param shape: (nz, ny, nx).
     :param slab: gives the boolean (ny, nx) slab at each z.
     """
-    counts, starts, stops = [], [], []
-    for z in range(shape[0]):
+    nz, ny, nx = shape
+    count = np.empty((nz, ny), dtype=np.int64)
+    room = ny * ((nx + 1) // 2)
+    start, stop = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
+    starts, stops = [], []
+    for z in range(nz):
         mask = np.ascontiguousarray(slab(z)).view(np.uint8)
-        count = kernels.count_runs(mask)
-        start, stop = np.empty(count.sum(), np.int32), np.empty(count.sum(), np.int32)
-        kernels.write_runs(mask, start, stop)
-        counts.append(count)
-        starts.append(start)
-        stops.append(stop)
-    offset = np.concatenate(([0], np.cumsum(np.concatenate(counts))))
+        n = kernels.find_runs(mask[None], count[z : z + 1], start, stop)
+        starts.append(start[:n].copy())
+        stops.append(stop[:n].copy())
+    offset = np.concatenate(([0], np.cumsum(count)))
     return Runs(shape, offset, np.concatenate(starts), np.concatenate(stops))
 
 

@@ -160,9 +160,7 @@ def _cleaning_record(clean: _Clean) -> dict[str, Any]:
     }
 
 
-def _root_voxel(
-    volume: Volume, voxels: Voxels, tips: Tips, thickness: np.ndarray, root_mm: np.ndarray
-) -> int:
+def _root_voxel(volume: Volume, voxels: Voxels, tips: Tips, thickness: np.ndarray, root_mm: np.ndarray) -> int:
     """The voxel where the vessel is to enter: the tip nearest to the given point if it is within two radii of it."""
     if root_mm.shape != (3,) or not np.isfinite(root_mm).all():
         raise InputError(f"root {root_mm.tolist()} is no point; three finite numbers x, y, z in mm are needed")

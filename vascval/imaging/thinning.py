@@ -22,6 +22,4 @@ def thin(voxels: Voxels, thickness_mm: np.ndarray, anchor: np.ndarray) -> np.nda
     """
     held = np.zeros(voxels.n, dtype=bool)
     held[anchor] = True
-    finite = np.where(np.isfinite(thickness_mm), thickness_mm, 0.0)
-    level = (finite * (LEVELS_PER_VOXEL / voxels.spacing_mm.min())).astype(np.int32)
-    return kernels.thin(level, int(level.max(initial=0)) + 1, held, voxels.x, voxels.row, voxels.first, voxels.shape[1])
+    return kernels.thin(thickness_mm, LEVELS_PER_VOXEL / voxels.spacing_mm.min(), held, voxels.lattice)

@@ -48,11 +48,10 @@ def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     code = np.arange(27)
     offset = np.stack((code % 3 - 1, code // 3 % 3 - 1, code // 9 - 1), axis=1)
     step = np.sqrt(((offset * spacing) ** 2).sum(axis=1))
-    walk = (voxels.x, voxels.row, voxels.first, voxels.shape[1])
-    source = int(np.argmax(kernels.geodesic(int(np.argmax(thickness_mm)), *walk, step)))
-    way = kernels.geodesic(source, *walk, step)
-    order = np.argsort(-way, kind="stable")
-    tip, saddle, widest = kernels.maxima(order, way, thickness_mm, *walk)
+    lattice = voxels.lattice
+    source = int(np.argmax(kernels.geodesic(int(np.argmax(thickness_mm)), lattice, step)))
+    way = kernels.geodesic(source, lattice, step)
+    tip, saddle, widest = kernels.maxima(kernels.descending(way), way, thickness_mm, lattice)
     persistence = np.where(saddle < 0, np.inf, way[tip] - way[saddle])
     voxel_mm = float(np.cbrt(np.prod(spacing)))
     bump_mm = bump_voxels(persistence / voxel_mm) * voxel_mm
