@@ -22,6 +22,9 @@ from generator.geometry.reduced import evaluate
 from vascval.core.errors import ComputationError
 from vascval.core.tree import Tree
 
+_COINCIDENT_MM = 1e-9
+"""Lengths are smoothed by this where the tree begins: of two nodes in one place, as a search of topologies may leave
+them, the direction of the forces is not defined."""
 _SWEEPS = 10
 _ROUNDS = 10
 _HALVINGS = 6
@@ -67,7 +70,7 @@ def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], 
     optimum = solve(problem)
     if admission.always:
         return optimum
-    begin = evaluate(problem)
+    begin = evaluate(problem, eps=_COINCIDENT_MM)
     bad = np.flatnonzero(admission.offending(problem, begin.tree))
     if bad.size:
         raise ComputationError(
