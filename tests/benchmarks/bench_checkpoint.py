@@ -1,6 +1,6 @@
 """What it costs to keep a run: time to write a checkpoint, its size, its share of a minute, time to take it up again.
 
-``python -m tests.benchmarks.bench_checkpoint`` prints a table. A minute is what lies between two checkpoints by default.
+``python -m tests.benchmarks.bench_checkpoint`` prints a table. A minute lies between two checkpoints by default.
 """
 
 from __future__ import annotations
