@@ -145,13 +145,13 @@ def _plotter(layers: Sequence[Tubes], surface: Surface | None, seen: Viewpoint, 
     plotter.enable_anti_aliasing("ssaa")
     _, up, back = seen.axes
     for layer in layers:
-        for mesh in _tube_meshes(layer, 2.0 * _shown(seen)[1] / _HEIGHT):
+        for mesh in tube_meshes(layer, 2.0 * _shown(seen)[1] / _HEIGHT):
             plotter.add_mesh(mesh, color=layer.series.colour, specular=0.15, smooth_shading=True)
     if surface is not None:
         nearer = surface.points_mm + surface.voxel_mm * back
         plotter.enable_depth_peeling()
         mesh = pyvista.PolyData.from_regular_faces(nearer, surface.triangles)
-        plotter.add_mesh(mesh, color=SURFACE, opacity=0.35, smooth_shading=True)
+        plotter.add_mesh(mesh, color=SURFACE, opacity=surface.opacity, smooth_shading=True)
     distance = 10.0 * max(_shown(seen))
     plotter.enable_parallel_projection()
     plotter.camera.position = seen.centre_mm + distance * back
@@ -162,8 +162,11 @@ def _plotter(layers: Sequence[Tubes], surface: Surface | None, seen: Viewpoint, 
     return plotter
 
 
-def _tube_meshes(layer: Tubes, pixel_mm: float) -> list[Any]:
-    """The pieces as tubes, with balls at the ends of those thick enough for the gap at a bend to show."""
+def tube_meshes(layer: Tubes, pixel_mm: float) -> list[Any]:
+    """The pieces as tubes, with balls at the ends of those thick enough for the gap at a bend to show.
+
+    Meshes of pyvista with ``radius_mm`` at their points; ``pixel_mm`` is the size of a pixel.
+    """
     import pyvista
 
     n = len(layer.radius_mm)
