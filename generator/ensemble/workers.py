@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import signal
 import warnings
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from vascval.core.errors import InputError
 if TYPE_CHECKING:
     from distributed import Client
 
+_ADDRESS = re.compile(r"((tcp|tls|ucx|wss?)://)?[^/\s]+:\d+/?")
 _SECONDS_TO_CONNECT = 15
 _SECONDS_FOR_WORKERS = 60
 
@@ -41,7 +43,7 @@ def _local(n_workers: int) -> Iterator[Client]:
     import dask
     from distributed import Client, LocalCluster
 
-    settings = {"distributed.scheduler.worker-saturation": 1.0}  # what a lost worker had not begun is not its own
+    settings = {"distributed.scheduler.allowed-failures": 0}  # a tree whose worker was lost comes back at once
     options: dict[str, Any] = {"preload": [__name__], "memory_limit": 0, "silence_logs": logging.CRITICAL}
     with (
         dask.config.set(settings),
@@ -55,6 +57,8 @@ def _local(n_workers: int) -> Iterator[Client]:
 
 @contextmanager
 def _remote(address: str) -> Iterator[Client]:
+    if not _ADDRESS.fullmatch(address):
+        raise InputError(f"--scheduler {address}: is no address; write tcp://HOST:PORT as 'dask scheduler' prints it")
     from distributed import Client
 
     try:

@@ -159,18 +159,21 @@ _SHOWN = ("n_terminals", "n_segments", "n_trifurcations", "total_length_mm", "vo
 
 def _drive(client: Client, missing: list[Order], n_trees: int, manifest: Manifest, log: Log) -> int:
     """Keeps each tree as it comes, with the bar and the log; how many were made."""
-    from generator.ensemble.running import Finished, Started, run
+    from generator.ensemble.running import Begun, Deserted, Share, run
     from generator.ensemble.work import Grown
 
     shares: dict[str, float] = {}
     n_made, n_there = 0, n_trees - len(missing)
     with progress() as observer, closing(run(client, missing, measured)) as events:
         for event in events:
-            if isinstance(event, Started):
+            if isinstance(event, Begun):
                 again = " again, its worker was lost" if event.again else ""
                 log.say(f"{event.name}: begun{again} on {event.worker}")
                 shares[event.name] = 0.0
-            elif not isinstance(event, Finished):
+            elif isinstance(event, Deserted):
+                log.say("no workers left, waiting for some")
+                note("no workers left; waiting for some")
+            elif isinstance(event, Share):
                 shares[event.name] = event.share
             else:
                 manifest.keep(event.order, event.result)

@@ -116,8 +116,8 @@ def _totals(ensemble: Ensemble, figures: Path) -> Section:
         rows = ensemble.totals[ensemble.totals["case"] == case].to_dict("records")
         body = [[Cell(_NAMES[row["measure"]], "head"), Cell(count(row["n_trees"])), *_cells(row)] for row in rows]
         tables.append(Table(f"{_named(case)}Totals over the trees.", [head], body, "tables/totals.csv"))
-    caption = f"A point per tree. {_BOXES}"
-    return Section("totals", "Totals", [*tables, Figure(caption, ensemble_panels.totals(ensemble, figures))])
+    figure = Figure(f"A point per tree. {_BOXES}", ensemble_panels.totals(ensemble, figures))
+    return Section("totals", "Totals", [figure, *tables])
 
 
 def _cells(row: Mapping[Any, Any]) -> list[Cell]:

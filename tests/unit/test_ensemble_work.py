@@ -1,0 +1,127 @@
+"""What workers do, and what becomes of trees whose workers are lost."""
+
+import os
+import signal
+
+import pytest
+
+from generator.ensemble import work
+from generator.ensemble.plan import Order, plan
+from generator.ensemble.running import Begun, Finished, run, warm
+from generator.ensemble.work import Failed, Grown, make, warm_up
+from generator.ensemble.workers import connected, n_threads, one_per_host
+from vascval.core.errors import InputError
+from vascval.core.tree import Tree
+
+POISON = 3
+
+
+def volume(tree: Tree, source: str) -> dict:
+    return {"source": source, "volume_mm3": tree.volume_mm3}
+
+
+def deadly(tree: Tree, source: str) -> dict:
+    """Ends the process that measures one of the trees."""
+    if source == f"seed-{POISON}.vtp":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return volume(tree, source)
+
+
+def broken(tree: Tree, source: str) -> dict:
+    raise KeyError(source)
+
+
+def orders(*changes: str, seeds=4):
+    return plan("karch-box", ("n_terminals=60", *changes), (), seeds).orders
+
+
+@pytest.fixture(autouse=True)
+def one_thread(monkeypatch):
+    """So that what workers set for themselves does not stay here."""
+    monkeypatch.setenv("VASCVAL_THREADS", "1")
+
+
+@pytest.fixture(scope="module")
+def client():
+    with connected(None, 2) as client:
+        yield client
+
+
+@pytest.mark.parametrize("method", ["cco", "geometry", "full"])
+def test_progress_goes_from_nothing_to_all(method, monkeypatch, tmp_path):
+    monkeypatch.setattr(work, "_SECONDS_BETWEEN_REPORTS", 0.0)
+    told: list[dict] = []
+    n_terminals = 1500 if method == "cco" else 60
+    order = orders(f"method={method}", f"n_terminals={n_terminals}", "topology.at=8", "topology.tests=2000")[0]
+    result = make(order, str(tmp_path), volume, told.append)
+    assert isinstance(result, Grown)
+    assert told[0] == {"name": "seed-1", "begun_on": result.worker}
+    shares = [message["share"] for message in told[1:]]
+    assert len(shares) > 1
+    assert shares == sorted(shares)
+    assert 0.0 <= shares[0] < 1.0
+    assert shares[-1] == pytest.approx(1.0)
+    assert result.document["volume_mm3"] == pytest.approx(result.document["stages"][-1]["volume_mm3"], rel=1e-12)
+    assert result.document["provenance"]["seed"] == result.document["seed"] == 1
+
+
+def test_workers_do_not_trust_their_files(tmp_path, monkeypatch):
+    here, there = tmp_path / "here", tmp_path / "there"
+    for folder, last in ((here, 9), (there, 8)):
+        folder.mkdir()
+        (folder / "points.csv").write_text(f"x_mm,y_mm,z_mm\n0,0,0\n5,5,5\n9,9,{last}\n")
+    monkeypatch.chdir(here)
+    (order,) = orders("terminals_file=points.csv", seeds=1)
+    assert isinstance(make(order, str(here), volume, lambda _: None), Grown)
+    assert warm_up(order, str(here), volume) == ""
+    other = make(order, str(there), volume, lambda _: None)
+    assert isinstance(other, Failed) and "terminals_file: the file on" in other.reason
+    gone = make(order, str(tmp_path), volume, lambda _: None)
+    assert isinstance(gone, Failed) and "points.csv: cannot be read" in gone.reason
+    assert "points.csv: cannot be read" in warm_up(order, str(tmp_path), volume)
+
+
+def test_workers_are_of_the_same_version(tmp_path):
+    order = orders()[0]
+    newer = Order(order.name, order.case, order.config, {**order.identity, "version": "99"})
+    result = make(newer, str(tmp_path), volume, lambda _: None)
+    assert isinstance(result, Failed) and "has vascval" in result.reason and "not 99" in result.reason
+
+
+def test_a_worker_lost_costs_its_own_tree(client):
+    """A tree that ends every worker fails in the end; the others are made, each by one worker."""
+    wanted = orders(seeds=8)
+    assert n_threads(client) == 2
+    assert len(one_per_host(client)) == 1
+    assert warm(client, wanted[0], volume) == []
+    events = list(run(client, wanted, deadly))
+    results = {event.order.config.seed: event.result for event in events if isinstance(event, Finished)}
+    assert sorted(results) == [order.config.seed for order in wanted]
+    assert isinstance(results[POISON], Failed)
+    assert "every worker that made it was lost" in results[POISON].reason
+    assert [seed for seed, result in results.items() if not isinstance(result, Grown)] == [POISON]
+    again = [event.name for event in events if isinstance(event, Begun) and event.again]
+    assert set(again) == {f"seed-{POISON}"}
+    assert len({result.worker for result in results.values() if isinstance(result, Grown)}) > 1
+
+
+def test_errors_that_nobody_foresaw_are_told(client):
+    (order,) = orders(seeds=1)
+    (event,) = (event for event in run(client, [order], broken) if isinstance(event, Finished))
+    assert isinstance(event.result, Failed)
+    assert event.result.reason == "internal error, KeyError: 'seed-1.vtp'"
+    assert "in broken" in event.result.trace
+
+
+def test_calling_off_leaves_the_workers_free(client):
+    events = run(client, orders(seeds=40), volume)
+    next(events)
+    events.close()
+    (finished,) = (event for event in run(client, orders(seeds=1), volume) if isinstance(event, Finished))
+    assert isinstance(finished.result, Grown)
+
+
+@pytest.mark.parametrize("address", ["nonsense", "host", "smtp://host:25", "tcp://host", ""])
+def test_addresses(address):
+    with pytest.raises(InputError, match="is no address; write tcp://HOST:PORT"), connected(address, 1):
+        pass
