@@ -22,7 +22,8 @@ class Surface:
     """Triangles: ``points_mm`` (P, 3) and ``triangles`` (T, 3), int. ``note`` says how it was simplified.
 
     Where tubes fit their image, tube and surface lie within a voxel and would show in patches: the surface is drawn
-    ``voxel_mm`` nearer to the viewer, which does not move it on a parallel view. ``label``: what legends call it.
+    ``voxel_mm`` nearer to the viewer, which does not move it on a parallel view. ``label``: what legends call it;
+    ``opacity``: how much of what is behind it hides.
     """
 
     points_mm: np.ndarray
@@ -30,6 +31,7 @@ class Surface:
     voxel_mm: float = 0.0
     note: str = ""
     label: str = "surface of the cast"
+    opacity: float = 0.35
 
 
 @dataclass(frozen=True, eq=False)
