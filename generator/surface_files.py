@@ -1,19 +1,18 @@
 """Triangles from STL, OBJ, VTK and VTP files.
 
-STL and OBJ are read here: VTK crashes on damaged ones. Polygons are cut into fans of triangles.
+None is read by VTK, which crashes on damaged ones. Polygons are cut into fans of triangles.
 """
 
 from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from vascval.core.errors import InputError
-from vascval.io import xml_guard
-from vascval.io.quiet import vtk_messages
+from vascval.io.vtk_legacy import read_legacy
+from vascval.io.vtp_xml import read_vtp
 
 SUFFIXES = (".stl", ".obj", ".vtk", ".vtp")
 Surface = tuple[np.ndarray, np.ndarray]
@@ -75,31 +74,11 @@ def _read_obj(path: Path) -> Surface:
 
 
 def _read_vtk(path: Path) -> Surface:
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-    from vtkmodules.vtkIOLegacy import vtkPolyDataReader
-    from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
-
-    if path.suffix.lower() == ".vtp":
-        xml_guard.parse(path, lambda name, _: name == "AppendedData")
-        reader: Any = vtkXMLPolyDataReader()
-    else:
-        reader = vtkPolyDataReader()
-    with vtk_messages() as messages:
-        reader.SetFileName(str(path))
-        reader.Update()
-        data, said = reader.GetOutput(), messages()
-    if said:
-        raise InputError(f"{path}: cannot be read as a surface ({said}); it is truncated, damaged or of another kind")
-    if data.GetPoints() is None or data.GetNumberOfPolys() == 0:
-        strips = data.GetNumberOfStrips()
-        what = f"{strips} triangle strips and no polygons" if strips else "no polygons"
-        raise InputError(f"{path}: holds {what}; save the closed surface as polygons")
-    offsets = vtk_to_numpy(data.GetPolys().GetOffsetsArray())
-    corner = vtk_to_numpy(data.GetPolys().GetConnectivityArray()).astype(np.int64)
-    points = vtk_to_numpy(data.GetPoints().GetData()).astype(np.float64)
-    if (np.diff(offsets) == 3).all():
-        return points, corner[: offsets[-1]].reshape(-1, 3)
-    return points, _fans([corner[a:b].tolist() for a, b in pairwise(offsets)])
+    data = read_vtp(path, "polygons") if path.suffix.lower() == ".vtp" else read_legacy(path, "polygons")
+    corner = data.connectivity
+    if (np.diff(data.offsets) == 3).all():
+        return data.points, corner.reshape(-1, 3)
+    return data.points, _fans([corner[a:b].tolist() for a, b in pairwise(data.offsets)])
 
 
 def _numbers(path: Path, rows: list[list[str]]) -> np.ndarray:

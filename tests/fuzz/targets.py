@@ -111,7 +111,7 @@ TARGETS = {
         Target("surface.vtk", ".vtk", _surface, seeds.surface_vtk),
         Target("surface.vtp", ".vtp", _surface, seeds.surface_vtp),
         Target("points", ".csv", _points, seeds.points_csv),
-        Target("reference", ".csv", _reference, seeds.reference_csv),
+        Target("reference", ".csv", _reference, seeds.reference_csv, factor=170),
         Target("config", ".toml", _config, seeds.toml),
     )
 }

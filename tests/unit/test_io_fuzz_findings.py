@@ -85,13 +85,52 @@ def test_long_fields_of_nrrd(tmp_path: Path, field: str) -> None:
     assert "characters; it is damaged" in done.stderr.splitlines()[-1]
 
 
+@pytest.mark.parametrize("text", ["1" * 5000, "1," * 2000 + "1"])
+def test_long_words_in_nrrd_of_text(tmp_path: Path, text: str) -> None:
+    """The library ended the process."""
+    path = given(tmp_path, ".nrrd", changed(seeds.nrrd()[2], b" 3 4 5 ", f" 3 {text} 5 ".encode()))
+    with pytest.raises(InputError, match="a value has 64 characters or more"):
+        read_volume(path)
+    assert np.array_equal(read_volume(given(tmp_path, ".nrrd", seeds.nrrd()[2])).values, seeds.values())
+
+
+def test_axes_next_to_nothing(tmp_path: Path) -> None:
+    """Their determinant was no number, which passed for invertible."""
+    matrix = b"1e-320 0 0 1e-320 0 0 0 0 1e-320"
+    path = given(tmp_path, ".mha", changed(seeds.mha()[0], b"1 0 0 0 1 0 0 0 1", matrix))
+    with pytest.raises(InputError, match="has no inverse"):
+        read_volume(path)
+
+
+@pytest.mark.parametrize("number", ["1" * 5000, "²", "٣", "-3", ""])
+@pytest.mark.parametrize("old", [b'NumberOfPoints="4"', b'NumberOfComponents="3"'])
+def test_counts_that_python_calls_digits(tmp_path: Path, old: bytes, number: str) -> None:
+    new = old.split(b'"')[0] + f'"{number}"'.encode()
+    with pytest.raises(InputError, match="an array cannot be decoded"):
+        read_tree(given(tmp_path, ".vtp", changed(seeds.vtp()[0], old, new)))
+
+
+def test_numbers_beyond_single_precision(tmp_path: Path) -> None:
+    data = changed(seeds.vtk()[0], b"VECTORS v float\n1 0", b"VECTORS v float\n1e300 0")
+    assert read_tree(given(tmp_path, ".vtk", data)).n_segments == 3
+    data = changed(seeds.vtk()[0], b"POINTS 4 double\n0 0 0", b"POINTS 4 float\n0 0 1e300")
+    with pytest.raises(InputError, match="1 points are not finite"):
+        read_tree(given(tmp_path, ".vtk", data))
+
+
+@pytest.mark.parametrize("text", [",\n", " ; \n,,\n", "# a\n,\n"])
+def test_rows_of_separators_alone(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match="holds no points"):
+        read_tree(given(tmp_path, ".swc", text.encode()))
+
+
 def test_sizes_beyond_all_numbers(tmp_path: Path) -> None:
     path = given(tmp_path, ".nrrd", changed(seeds.nrrd()[1], b"sizes: 4", b"sizes: " + b"9" * 400))
     with pytest.raises(InputError, match=r"voxels need .* GiB"):
         read_volume(path)
 
 
-@pytest.mark.parametrize("width", ["99999999", "9" * 40])
+@pytest.mark.parametrize("width", ["99999999", "9" * 40, "٣"])
 def test_data_file_patterns_of_great_width(tmp_path: Path, width: str) -> None:
     """Each name took as many bytes as the width says, or Python refused."""
     path = given(tmp_path, ".nhdr", changed(seeds.nhdr()[1], b"%03d", f"%{width}d".encode()))

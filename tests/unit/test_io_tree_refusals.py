@@ -185,7 +185,7 @@ def test_other_data_sets(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> N
     (tmp_path / "a.vtp").write_text(vtp(kind="UnstructuredGrid"))
     refused(tmp_path / "a.vtp", capfd, "is XML but no VTK PolyData")
     (tmp_path / "a.vtk").write_text(LEGACY.replace("POLYDATA", "UNSTRUCTURED_GRID"))
-    refused(tmp_path / "a.vtk", capfd, "is a VTK file with UNSTRUCTURED_GRID; save the tree as POLYDATA")
+    refused(tmp_path / "a.vtk", capfd, "is a VTK file with UNSTRUCTURED_GRID; save it as POLYDATA")
     (tmp_path / "a.vtk").write_text("# vtk DataFile Version 3.0\n")
     refused(tmp_path / "a.vtk", capfd, "is a VTK file with no data set")
     (tmp_path / "a.vtk").write_text(LEGACY.replace("LINES", "VERTICES"))

@@ -73,7 +73,8 @@ def _rows(path: Path) -> tuple[list[str], np.ndarray]:
         lines = [line.strip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror}); check its name") from error
-    numbered = [(i, line.translate(_SEPARATORS)) for i, line in enumerate(lines, start=1) if line and line[0] != "#"]
+    plain = [(i, line.translate(_SEPARATORS)) for i, line in enumerate(lines, start=1) if not line.startswith("#")]
+    numbered = [(i, line) for i, line in plain if line.strip()]
     if not numbered:
         raise InputError("holds no points; the file is truncated or no SWC")
     try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from typing import Literal
 from urllib.parse import unquote
 
 import numpy as np
@@ -30,8 +31,8 @@ class _Damaged(Exception):
     """The file cannot be what it says it is."""
 
 
-def read_legacy(path: Path) -> PolyData:
-    """A legacy VTK file with ``DATASET POLYDATA``.
+def read_legacy(path: Path, kind: Literal["lines", "polygons"] = "lines") -> PolyData:
+    """The lines, or polygons, of a legacy VTK file with ``DATASET POLYDATA``.
 
     :raises InputError: when it is not one, is damaged, or claims more than it can hold.
     """
@@ -39,14 +40,14 @@ def read_legacy(path: Path) -> PolyData:
     try:
         found = reader.head()
         if found != "POLYDATA":
-            raise InputError(f"{path}: is a VTK file with {found}; save the tree as POLYDATA")
-        while reader.section():
-            pass
-        with np.errstate(invalid="ignore"):  # values that are not finite are looked for below
-            data = reader.poly_data()
+            raise InputError(f"{path}: is a VTK file with {found}; save it as POLYDATA")
+        with np.errstate(invalid="ignore", over="ignore"):  # values that are not finite are looked for below
+            while reader.section():
+                pass
+            data = reader.poly_data(kind.upper())
     except (_Damaged, ValueError, OverflowError) as error:
         raise InputError(f"{path}: is no sound VTK file ({str(error)[:160]}); it is truncated or damaged") from error
-    require_sound(path, data)
+    require_sound(path, data, kind)
     return data
 
 
@@ -92,9 +93,11 @@ class _Reader:
             self._attribute(key, words)
         return True
 
-    def poly_data(self) -> PolyData:
-        offsets, connectivity = self._cells["LINES"]
-        before, n_lines, n_points = len(self._cells["VERTICES"][0]) - 1, len(offsets) - 1, len(self._points)
+    def poly_data(self, kind: str) -> PolyData:
+        """Points, and the cells of one kind with their data."""
+        offsets, connectivity = self._cells[kind]
+        before = sum(len(self._cells[other][0]) - 1 for other in _CELLS[: _CELLS.index(kind)])
+        n_lines, n_points = len(offsets) - 1, len(self._points)
         cells, points = self._arrays["CELL_DATA"], self._arrays["POINT_DATA"]
         return PolyData(
             points=self._points.astype(np.float64),

@@ -61,12 +61,23 @@ def decode(encoding: Encoding, attributes: Mapping[str, str], text: str) -> np.n
             values = np.frombuffer(raw, np.dtype(encoding.endian + code)).astype(dtype)
     except (ValueError, OverflowError, struct.error, zlib.error, lzma.LZMAError) as error:
         raise Damaged(str(error)) from error
-    components = attributes.get("NumberOfComponents", "1").strip() or "1"
-    if components == "1":
+    components = whole(attributes.get("NumberOfComponents", "").strip() or "1", "NumberOfComponents")
+    if components == 1:
         return values
-    if not components.isdigit() or int(components) < 1 or values.size % int(components):
-        raise Damaged(f"{values.size} values for {components[:20]} components")
-    return values.reshape(-1, int(components))
+    if components < 1 or values.size % components:
+        raise Damaged(f"{values.size} values for {components} components")
+    return values.reshape(-1, components)
+
+
+def whole(text: str, name: str) -> int:
+    """The number that an attribute holds.
+
+    :raises Damaged: when it is no whole number of up to 18 digits.
+    """
+    text = text.strip()
+    if not (text.isascii() and text.isdigit() and len(text) <= 18):
+        raise Damaged(f"{name} is {text[:20]!r}")
+    return int(text)
 
 
 class _Stored:
@@ -76,9 +87,10 @@ class _Stored:
         self._encoding = encoding
         self._raw = kind == "appended" and encoding.appended_is_raw
         if kind == "appended":
-            if not offset.strip().isdigit() or int(offset) >= max(len(encoding.appended), 1):
-                raise Damaged(f"an offset of {offset[:20]}")
-            self._data = encoding.appended[int(offset) :]
+            begin = whole(offset, "offset")
+            if begin >= max(len(encoding.appended), 1):
+                raise Damaged(f"an offset of {begin}")
+            self._data = encoding.appended[begin:]
         elif kind == "binary":
             self._data = memoryview("".join(text.split()).encode("ascii", "replace"))
         else:

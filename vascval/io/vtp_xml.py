@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from vascval.core.errors import InputError
 from vascval.io import xml_guard
 from vascval.io.polydata import PolyData, require_sound
-from vascval.io.vtp_arrays import Damaged, Encoding, decode
+from vascval.io.vtp_arrays import Damaged, Encoding, decode, whole
 
 _SECTIONS = ("FieldData", "PointData", "CellData", "Points", "Verts", "Lines", "Strips", "Polys")
+_CELLS = ("Verts", "Lines", "Polys", "Strips")  # in the order of the cells' data
 _MAX_ARRAYS = 100_000
 
 
@@ -29,21 +31,21 @@ class _Piece:
     sections: dict[str, list[_Array]] = field(default_factory=dict)
 
 
-def read_vtp(path: Path) -> PolyData:
-    """A VTP file (XML PolyData) of one or more pieces.
+def read_vtp(path: Path, kind: Literal["lines", "polygons"] = "lines") -> PolyData:
+    """The lines, or polygons, of a VTP file (XML PolyData) of one or more pieces.
 
     :raises InputError: when it is not one, is damaged, has a document type, or claims more than it can hold.
     """
     document = _Document(path)
     stopped_at = xml_guard.parse(path, document.start, document.end, document.text)
     if document.kind != "PolyData":
-        raise InputError(f"{path}: is XML but no VTK PolyData; save the tree as PolyData (.vtp)")
+        raise InputError(f"{path}: is XML but no VTK PolyData; save it as PolyData (.vtp)")
     encoding = _encoding(document, _appended(path, stopped_at))
     try:
-        data = _assembled(document, encoding)
+        data = _assembled(document, encoding, "Lines" if kind == "lines" else "Polys")
     except Damaged as error:
         raise InputError(f"{path}: an array cannot be decoded ({error}); it is truncated or damaged") from error
-    require_sound(path, data)
+    require_sound(path, data, kind)
     return data
 
 
@@ -117,8 +119,8 @@ def _encoding(document: _Document, appended: memoryview) -> Encoding:
     )
 
 
-def _assembled(document: _Document, encoding: Encoding) -> PolyData:
-    parts = [_piece(piece, encoding) for piece in document.pieces if _number(piece, "Points") > 0]
+def _assembled(document: _Document, encoding: Encoding, kind: str) -> PolyData:
+    parts = [_piece(piece, encoding, kind) for piece in document.pieces if _number(piece, "Points") > 0]
     shift, offsets, connectivity = 0, [np.zeros(1, dtype=np.int64)], []
     for part in parts:
         offsets.append(part.offsets[1:] + (offsets[-1][-1] if len(offsets[-1]) else 0))
@@ -146,9 +148,10 @@ def _joined(parts: list[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
-def _piece(piece: _Piece, encoding: Encoding) -> PolyData:
-    lines = _named(piece, "Lines", encoding)
-    n_points, n_lines, before = (_number(piece, name) for name in ("Points", "Lines", "Verts"))
+def _piece(piece: _Piece, encoding: Encoding, kind: str) -> PolyData:
+    lines = _named(piece, kind, encoding)
+    n_points, n_lines = _number(piece, "Points"), _number(piece, kind)
+    before = sum(_number(piece, other) for other in _CELLS[: _CELLS.index(kind)])
     points = next(iter(_named(piece, "Points", encoding).values()), np.zeros((0, 3)))
     ends = lines.get("offsets", np.zeros(0, dtype=np.int64)).astype(np.int64)
     if points.shape != (n_points, 3) or ends.shape != (n_lines,):
@@ -164,10 +167,7 @@ def _piece(piece: _Piece, encoding: Encoding) -> PolyData:
 
 
 def _number(piece: _Piece, what: str) -> int:
-    text = piece.attributes.get(f"NumberOf{what}", "0").strip()
-    if not text.isdigit():
-        raise Damaged(f"NumberOf{what} is {text[:20]!r}")
-    return int(text)
+    return whole(piece.attributes.get(f"NumberOf{what}", "0"), f"NumberOf{what}")
 
 
 def _named(piece: _Piece, section: str, encoding: Encoding) -> dict[str, np.ndarray]:
