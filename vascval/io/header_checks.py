@@ -21,7 +21,8 @@ class Header:
     """What a header says: ``reader`` is the name of the ITK reader, ``sizes`` the axis lengths as stored (empty where
     only the library knows), ``itemsize`` the bytes per value, ``mm_per_unit`` what the spacing and origin that the
     library reports are to be multiplied by, ``unpacked_bytes`` what compressed NIfTI must unpack to, ``texts`` the
-    key-value pairs of the writer, ``files`` and ``data_at`` where MetaImage keeps its data."""
+    key-value pairs of the writer, ``files`` and ``data_at`` where MetaImage keeps its data, ``least_bytes`` what the
+    ``files`` of NRRD must hold at least, however densely they are packed."""
 
     kind: str
     reader: str
@@ -33,6 +34,7 @@ class Header:
     texts: dict[str, str] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
     data_at: int = 0
+    least_bytes: int = 0
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,8 @@ def positive(path: Path, values: tuple[int, ...], name: str) -> tuple[int, ...]:
 
 def numbered_files(path: Path, text: str) -> list[str]:
     """The file names that a data-file field stands for: one name, or ``pattern first last step``."""
-    pattern = re.fullmatch(r"(\S*%0?\d{0,2}[du]\S*)\s+(-?\d+)\s+(-?\d+)\s+(-?\d+)(\s+\d+)?", text)
+    number = r"\s+(-?\d{1,9})"
+    pattern = re.fullmatch(rf"(\S*%0?\d{{0,2}}[du]\S*){number}{number}{number}(\s+\d+)?", text, re.ASCII)
     if pattern is None:
         if "%" in text:
             raise InputError(f"{path}: the data file pattern {text!r} is not understood; name one file or LIST them")
@@ -124,7 +127,7 @@ def confined(header: Path, name: str) -> Path:
     return file
 
 
-def require_bytes(path: Path, files: list[Path], needed: int, skipped: int) -> None:
+def require_bytes(path: Path, files: Sequence[Path], needed: int, skipped: int) -> None:
     there = sum(file.stat().st_size for file in files) - skipped
     if there < needed:
         raise InputError(f"{path}: holds {max(there, 0):,} bytes of {needed:,}; it is truncated, get it again")

@@ -47,6 +47,9 @@ def read_header(path: Path) -> Header:
 # --- NRRD ---------------------------------------------------------------------------------------------------------
 
 _LONGEST_FIELD = 1000  # the library writes beyond a buffer when it quotes a longer one in an error
+_TEXT = ("txt", "text", "ascii")
+_LONGEST_WORD = 64  # of values as text; the library writes beyond a buffer on longer ones
+_DENSEST = 1100  # bytes out of one: zlib on zeros reaches 1032
 _NRRD_BYTES = {
     **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
     **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
@@ -87,7 +90,10 @@ def _nrrd(path: Path, head: bytes) -> Header:
     files = [path]
     if "datafile" in fields:
         files = [confined(path, name) for name in names or numbered_files(path, fields["datafile"])]
-    if fields.get("encoding", "").lower() == "raw" and fields.get("byteskip", "0") in ("0", "-1"):
+    encoding = fields.get("encoding", "").lower()
+    if encoding in _TEXT:
+        _require_short_words(path, files, 0 if "datafile" in fields else data_at)
+    if encoding == "raw" and fields.get("byteskip", "0") in ("0", "-1"):
         require_bytes(path, files, math.prod(sizes) * itemsize, 0 if "datafile" in fields else data_at)
     return Header(
         "NRRD",
@@ -97,7 +103,27 @@ def _nrrd(path: Path, head: bytes) -> Header:
         has_spacing=_nrrd_spacing(path, fields),
         mm_per_unit=_nrrd_unit(path, fields.get("spaceunits", fields.get("units", ""))),
         texts=texts,
+        files=tuple(files),
+        least_bytes=_nrrd_least(path, encoding, math.prod(sizes), itemsize),
     )
+
+
+def _require_short_words(path: Path, files: list[Path], data_at: int) -> None:
+    if any(re.search(rb"\S{%d}" % _LONGEST_WORD, file.read_bytes()[data_at:]) for file in files):
+        raise InputError(f"{path}: a value has {_LONGEST_WORD} characters or more; the file is damaged")
+
+
+def _nrrd_least(path: Path, encoding: str, count: int, itemsize: int) -> int:
+    """Bytes that so many values take at least; the library allocates and clears their memory before it looks."""
+    if encoding == "raw":
+        return count * itemsize
+    if encoding in ("gz", "gzip"):
+        return count * itemsize // _DENSEST
+    if encoding in _TEXT:
+        return 2 * count - 1
+    if encoding == "hex":
+        return 2 * count * itemsize
+    raise InputError(f"{path}: the encoding {encoding!r} of the NRRD is not read; save it as raw or gzip")
 
 
 def _nrrd_lines(head: bytes) -> tuple[list[str], int]:
@@ -172,11 +198,13 @@ def _unzipped(head: bytes) -> bytes:
 
 
 def require_whole(path: Path, header: Header) -> None:
-    """Refuses compressed NIfTI that ends early, which the library does not tell.
+    """Refuses NRRD of fewer bytes than its values can take, and compressed NIfTI that ends early without a word from
+    the library.
 
     The last four bytes of a complete file of one member hold the size (mod 2^32) of what was packed; only where that
     does not fit is the file unpacked to see, without keeping anything.
     """
+    require_bytes(path, header.files, header.least_bytes, 0)
     if header.unpacked_bytes == 0:
         return
     with path.open("rb") as stream:

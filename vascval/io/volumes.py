@@ -67,7 +67,9 @@ class Volume:
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         check_spacing(self.spacing_mm)
-        if abs(np.linalg.det(self.direction)) < 1e-6:
+        with np.errstate(all="ignore"):  # of axes next to nothing the determinant is no number
+            invertible = abs(np.linalg.det(self.direction)) >= 1e-6
+        if not invertible:
             raise InputError(f"direction {self.direction.tolist()} has no inverse; three independent axes are needed")
         object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
 
