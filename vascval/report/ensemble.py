@@ -41,7 +41,7 @@ _BY_GENERATION = {
 }
 _BOXES = (
     "Boxes from the first to the third quartile with the median; whiskers to the last value within 1.5 box lengths, "
-    "rings beyond."
+    "rings beyond; cases from left to right in the order of the legend."
 )
 
 
