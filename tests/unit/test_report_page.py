@@ -26,8 +26,8 @@ from vascval.report import view, write_analysis_report, write_compare_report
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"' $x^2$ _\n.vtp"
 ORIGIN = {"version": "1.2.3", "command": "compare", "config": {"label": None, "spacing_mm": [1.0, 1.0, 1.0]}, "seed": 7,
           "inputs": [{"name": "cast.nrrd", "sha256": "ab" * 32, "bytes": 1234}]}
-SECTIONS = ["summary", "key-statistics", "overlay", "generations", "orders", "horton", "junctions", "image", "notes",
-            "provenance", "definitions"]
+SECTIONS = ["summary", "key-statistics", "overlay", "generations", "orders", "horton", "organs", "junctions", "image",
+            "notes", "provenance", "definitions"]
 COMPARED = ["distributions", "location", "territories"]
 VOID = {"meta", "img", "input", "br", "hr", "link", "wbr"}
 
@@ -115,7 +115,7 @@ def page(folder) -> Page:
 def test_every_section_is_there_and_linked(report):
     found = page(report)
     keys = [attributes["id"] for attributes in found.all("section")]
-    assert keys == [*SECTIONS[:7], *COMPARED, *SECTIONS[7:]]
+    assert keys == [*SECTIONS[:8], *COMPARED, *SECTIONS[8:]]
     assert [attributes["href"] for attributes in found.all("a")] == [f"#{key}" for key in keys]
     assert found.open == []
     assert len(found.all("table")) > 15

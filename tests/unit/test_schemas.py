@@ -82,6 +82,7 @@ def test_tables_have_the_columns_of_their_rows(comparison):
         "elements": analysis.elements,
         "junctions": analysis.junctions,
         "horton": analysis.horton,
+        "organs": analysis.organs,
         "connectivity": analysis.connectivity,
         "monopodial-sensitivity": analysis.monopodial_sensitivity,
         "totals": comparison.totals,

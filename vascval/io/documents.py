@@ -27,6 +27,7 @@ from vascval.io.rows import (
     LocationRow,
     Number,
     OrderRow,
+    OrganRow,
     ReferenceRow,
     SensitivityRow,
     TerritoryRow,
@@ -101,6 +102,7 @@ class AnalyzeDocument(Document):
     generations: list[GenerationRow]
     orders: list[OrderRow] = _f("per order, for each ordering that converged")
     horton: list[HortonRow]
+    organs: list[OrganRow] = _f("Horton ratios of real organs beside the tree's: what is plausible, no pass mark")
     connectivity: list[ConnectivityRow]
     monopodial_sensitivity: list[SensitivityRow]
     coverage: Coverage | None = _f("null when the terminals span no volume")

@@ -163,6 +163,23 @@ class ConnectivityRow(Row):
     se: Number = _f("standard error over the parent elements; null with one of them")
 
 
+class OrganRow(Row):
+    """A Horton ratio of a real organ beside that of the tree, by regression over the orders without the highest.
+
+    Third-party transcriptions of published tables, not checked against the papers: what is plausible, no pass mark.
+    """
+
+    organ: str = _f("species, organ and vessel")
+    source: str = _f("key of the publication: first author and year")
+    ordering: Ordering = _f("which orders its table has; the tree's ratio is for the same")
+    quantity: Literal["number", "radius", "length"] = _f("number, mean radius or mean length of the elements")
+    ratio: Number = _f("of the organ; null where its table does not have the quantity")
+    r_squared: Number = _f("coefficient of determination of that")
+    n_orders: int = _f("orders used for that")
+    tree_ratio: Number = _f("of the tree; null where it has too few orders of that kind")
+    relative: Number = _f("tree over organ, minus 1")
+
+
 class SensitivityRow(Row):
     """How the count of monopodial branches moves with its thresholds."""
 
@@ -304,6 +321,7 @@ TABLES: dict[str, type[Row]] = {
     "elements": ElementRow,
     "junctions": JunctionRow,
     "horton": HortonRow,
+    "organs": OrganRow,
     "connectivity": ConnectivityRow,
     "monopodial-sensitivity": SensitivityRow,
     "totals": TotalRow,

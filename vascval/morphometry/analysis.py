@@ -29,6 +29,7 @@ from vascval.morphometry.orders import (
     horton_table,
     order_table,
 )
+from vascval.morphometry.organs import organ_table
 from vascval.morphometry.overlaps import overlapping_pairs
 from vascval.morphometry.preparation import Prepared, prepare
 from vascval.morphometry.statistics import mean_or_nan
@@ -42,7 +43,8 @@ class Analysis:
       ``generation``, ``element`` and, where it converged, ``diameter_order``;
     * ``summary``: totals (:class:`vascval.io.documents.Summary`);
     * tables with the columns of the row models in :mod:`vascval.io.rows`: ``generations``, ``orders``,
-      ``elements``, ``segments``, ``junctions``, ``connectivity``, ``horton``, ``monopodial_sensitivity``;
+      ``elements``, ``segments``, ``junctions``, ``connectivity``, ``horton``, ``organs`` (the ratios of real organs
+      beside the tree's), ``monopodial_sensitivity``;
     * ``coverage`` (``None`` when there is no tissue to speak of), ``image`` (``None`` unless the tree comes from a
       volume), ``parameters`` (the rules used) and ``notes`` (what was found, repaired or left out).
     """
@@ -57,6 +59,7 @@ class Analysis:
     junctions: pd.DataFrame
     connectivity: pd.DataFrame
     horton: pd.DataFrame
+    organs: pd.DataFrame
     monopodial_sensitivity: pd.DataFrame
     coverage: dict[str, Any] | None
     image: dict[str, Any] | None
@@ -117,6 +120,7 @@ def analyze(
     segments = _segment_table(measured, angle, monopodial_branches(measured, junctions, angle, rule))
     elements = {name: element_table(measured, order) for name, order in orders.items()}
     by_order = {name: order_table(name, order, segments, elements[name]) for name, order in orders.items()}
+    horton = pd.concat([horton_table(*item) for item in by_order.items()], ignore_index=True)
     covered = coverage(measured, tissue_mm=tissue_mm, tissue_volume_mm3=tissue_volume_mm3)
     if covered is None:
         notes.append("no coverage: the terminals span no volume and no tissue was given")
@@ -132,7 +136,8 @@ def analyze(
         segments=segments,
         junctions=junctions,
         connectivity=pd.concat([connectivity_table(*item) for item in elements.items()], ignore_index=True),
-        horton=pd.concat([horton_table(*item) for item in by_order.items()], ignore_index=True),
+        horton=horton,
+        organs=organ_table(horton),
         monopodial_sensitivity=monopodial_sensitivity(measured, junctions, angle),
         coverage=covered,
         image=None if image is None else dict(image),

@@ -7,7 +7,7 @@ import pandas as pd
 
 from vascval.core.ordering import element, root_order
 from vascval.core.tree import Tree
-from vascval.morphometry.statistics import grouped
+from vascval.morphometry.statistics import grouped, log_line
 
 
 def element_table(tree: Tree, order: np.ndarray) -> pd.DataFrame:
@@ -116,21 +116,10 @@ def horton_table(ordering: str, orders: pd.DataFrame) -> pd.DataFrame:
             ("length", "element_length_mean_mm"),
         ):
             values = orders[name].to_numpy(float)[:last]
-            slope, r_squared = _line(np.arange(1, last + 1), values)
+            slope, r_squared = log_line(np.arange(1, last + 1), values)
             rows.append((ordering, quantity, 10 ** abs(slope), slope, r_squared, 1, last, last))
     names = ["ordering", "quantity", "ratio", "slope", "r_squared", "order_min", "order_max", "n_orders"]
     return pd.DataFrame(rows, columns=names)
-
-
-def _line(x: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Slope of ``log10(values)`` over ``x`` and R^2; NaN with one value or with one that has no logarithm."""
-    if x.size < 2 or not (values > 0).all():
-        return float("nan"), float("nan")
-    y = np.log10(values)
-    dx, dy = x - x.mean(), y - y.mean()
-    slope = float(dx @ dy / (dx @ dx))
-    total = float(dy @ dy)
-    return slope, 1.0 - float(((dy - slope * dx) ** 2).sum()) / total if total > 0 else 1.0
 
 
 def connectivity_table(ordering: str, elements: pd.DataFrame) -> pd.DataFrame:

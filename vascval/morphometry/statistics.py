@@ -1,4 +1,5 @@
-"""Counts, means, standard deviations and standard errors by group; values that are not numbers are left out."""
+"""Counts, means, standard deviations and standard errors by group, where values that are not numbers are left out;
+straight lines through logarithms."""
 
 from __future__ import annotations
 
@@ -35,3 +36,14 @@ def mean_or_nan(values: np.ndarray) -> float:
     """The mean of the values that are numbers; NaN where there are none."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else float("nan")
+
+
+def log_line(x: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """Slope of ``log10(values)`` over ``x`` and R^2; NaN with one value or with one that has no logarithm."""
+    if x.size < 2 or not (values > 0).all():
+        return float("nan"), float("nan")
+    y = np.log10(values)
+    dx, dy = x - x.mean(), y - y.mean()
+    slope = float(dx @ dy / (dx @ dx))
+    total = float(dy @ dy)
+    return slope, 1.0 - float(((dy - slope * dx) ** 2).sum()) / total if total > 0 else 1.0

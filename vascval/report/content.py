@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vascval.report import comparison_sections, order_sections, origin_sections, tree_sections, twin_section
+from vascval.report import (
+    comparison_sections,
+    order_sections,
+    organ_section,
+    origin_sections,
+    tree_sections,
+    twin_section,
+)
 from vascval.report.page import Section
 from vascval.report.subject import Side, Subject
 from vascval.report.swatches import Swatch, swatch
@@ -45,6 +52,7 @@ def sections(subject: Subject, figures: Path) -> list[Section]:
         tree_sections.generations(subject),
         order_sections.orders(subject, figures),
         order_sections.horton(subject),
+        organ_section.organs(subject),
         tree_sections.junctions(subject, figures),
     ]
     if subject.comparison is not None:

@@ -18,6 +18,7 @@ _PER_TREE = {
     "elements": "elements",
     "junctions": "junctions",
     "horton": "horton",
+    "organs": "organs",
     "connectivity": "connectivity",
     "monopodial-sensitivity": "monopodial_sensitivity",
 }
