@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -11,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from vascval.cli import sources
-from vascval.cli.console import note, progress, say, table, write_json
-from vascval.cli.interruption import held_back
+from vascval.cli.console import note, say, table, write_json
+from vascval.cli.keeping import Keeping, grow
 from vascval.cli.options import json_option
-from vascval.core.errors import InputError
+from vascval.core.errors import VascvalError
 
 if TYPE_CHECKING:
     from generator.framework import Run
@@ -77,35 +76,44 @@ def generate(
     if output.suffix.lower() not in (".vtp", ".swc"):
         raise click.BadParameter(f"{output} ends in neither .vtp nor .swc", param_hint="-o")
     checkpoint = checkpoint or resume or output.with_name(f"{output.name}.checkpoint")
-    for path in (output, checkpoint):
-        sources.check_file(path, [])
-    sources.check_json(json_file)
     if checkpoint.absolute() == output.absolute():
         raise click.BadParameter(f"{checkpoint} is the tree too", param_hint="--checkpoint")
-    from vascval.io.locks import claimed
-
-    with claimed(output), claimed(checkpoint):
-        _generate(config, output, changes, Keeping(checkpoint, every_s, resume), json_file)
-
-
-def _generate(config: str, output: Path, changes: tuple[str, ...], keeping: Keeping, json_file: str | None) -> None:
+    sources.check_file(output)
+    sources.check_file(checkpoint)
+    sources.check_json(json_file)
     from generator.config import load
     from generator.framework import Run
     from vascval.io.provenance import provenance
-    from vascval.io.trees import write_tree
 
-    had = output.exists()
     run = Run.of(load(config, changes))
+    for path in (output, checkpoint):
+        sources.check_is_no_input(path, run.inputs())
     for sentence in run.domain.notes:
         note(sentence)
     origin = provenance(
         command="generate", config=run.config.model_dump(mode="json"), seed=run.config.seed, inputs=run.inputs()
     )
-    keeping.begin(run, origin)
-    interrupted = _grow(run, keeping)
+    keeping = Keeping(run, origin, checkpoint, every_s)
+    keeping.begin(resume)
+    had = output.exists()
+    interrupted = grow(run, keeping)
     if interrupted is not None and had:
         note(f"interrupted at {run.growth.n_grown:,} terminals; {output} is left as it was")
         raise interrupted
+    try:
+        _write(run, output, origin, json_file)
+    except VascvalError:
+        keeping.write()
+        raise
+    if interrupted is not None:
+        note(f"interrupted at {run.growth.n_grown:,} terminals; they are in {output}")
+        raise interrupted
+    keeping.end()
+
+
+def _write(run: Run, output: Path, origin: Mapping[str, Any], json_file: str | None) -> None:
+    from vascval.io.trees import write_tree
+
     tree = run.tree()
     write_tree(tree, output, provenance=origin)
     document = _document(run, tree)
@@ -114,78 +122,6 @@ def _generate(config: str, output: Path, changes: tuple[str, ...], keeping: Keep
         say(f"\ntree: {output}")
     if json_file is not None:
         write_json({**document, "provenance": origin}, json_file)
-    if interrupted is not None:
-        note(f"interrupted at {document['n_terminals']:,} terminals; they are in {output}")
-        raise interrupted
-    keeping.end()
-
-
-class Keeping:
-    """The checkpoint of a run: where it is, how often it is written, and which one the run goes on from."""
-
-    def __init__(self, path: Path, every_s: float, resume: Path | None) -> None:
-        self.path, self.every_s, self.resume = path, every_s, resume
-
-    def begin(self, run: Run, origin: Mapping[str, Any]) -> None:
-        """Take up the run that is to be resumed; one that might be is not overwritten.
-
-        :raises InputError: when it cannot be resumed, or there is a checkpoint that nobody asked to.
-        """
-        from generator import checkpoint
-
-        self._run, self._origin, self._last = run, origin, time.monotonic()
-        if self.resume is not None:
-            state = checkpoint.read(self.resume, origin)
-            with sources.about(self.resume):
-                run.restore(state)
-        elif self.path.exists():
-            raise InputError(
-                f"{self.path}: is the checkpoint of an interrupted run; go on from it with --resume, or remove it"
-            )
-
-    def write(self) -> bool:
-        """Write it now. A disk that is full does not end the run: the last checkpoint stays, and a note is made."""
-        from generator import checkpoint
-
-        try:
-            checkpoint.write(self.path, self._run.state(), self._origin)
-        except InputError as error:
-            note(f"no checkpoint: {error}")
-            return False
-        finally:
-            self._last = time.monotonic()
-        return True
-
-    def write_if_due(self) -> None:
-        if time.monotonic() - self._last >= self.every_s:
-            self.write()
-
-    def end(self) -> None:
-        """The run is done, and its checkpoint not needed any more."""
-        self.path.unlink(missing_ok=True)
-
-
-def _grow(run: Run, keeping: Keeping) -> KeyboardInterrupt | None:
-    """Runs all stages; an interruption ends them once something has grown, and is returned."""
-    steps = run.steps()
-    at_step = False
-    with progress() as observer, held_back(unless=lambda: run.settled or not run.growth.begun) as held:
-        try:
-            for name, step in steps:
-                at_step = True
-                if observer is not None:
-                    observer(name, step.n_terminals, step.n_target)
-                held.release()
-                keeping.write_if_due()
-                at_step = False
-        except KeyboardInterrupt as interruption:
-            if not run.growth.begun:
-                raise
-            if (at_step or run.settled) and keeping.write():
-                note(f"go on from here with --resume {keeping.path}")
-            steps.close()
-            return interruption
-    return None
 
 
 _SHOWN = ("n_terminals", "n_segments", "n_trifurcations", "volume_mm3", "evenness", "seconds", "peak_memory_mb")

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import click
+
 from vascval.cli.console import Observer, note
 from vascval.cli.options import Selection
 from vascval.core.errors import InputError, VascvalError
@@ -56,7 +58,7 @@ def kind(path: Path) -> Kind:
     if is_volume_path(path):
         return "volume"
     raise InputError(
-        f"{path}: neither a volume nor a tree by its name; volumes are NRRD, NIfTI, MetaImage or TIFF, "
+        f"{path}: neither a volume nor a tree by its name; volumes are NRRD, NIfTI, MetaImage, TIFF, zarr or HDF5, "
         "trees VTP, VTK, SWC or GXL"
     )
 
@@ -82,11 +84,14 @@ def read_tree(path: Path, unit: str | None) -> Tree:
 def skeletonize(path: Path, selection: Selection, observer: Observer | None) -> Skeleton:
     """The tree of the vessels in a volume."""
     from vascval import imaging
-    from vascval.io.volumes import read_volume
+    from vascval.io.scans import open_scan
 
     with about(path):
-        volume = read_volume(
-            path, spacing_mm=selection.spacing_mm, max_memory_bytes=selection.max_memory_bytes
+        volume = open_scan(
+            path,
+            spacing_mm=selection.spacing_mm,
+            dataset=selection.dataset,
+            max_memory_bytes=selection.max_memory_bytes,
         )
         for text in volume.meta.get("notes", ()):
             note(f"{path}: {text}")
@@ -95,6 +100,7 @@ def skeletonize(path: Path, selection: Selection, observer: Observer | None) -> 
             label=selection.label,
             threshold=selection.threshold,
             root_mm=selection.root_mm,
+            max_memory_bytes=selection.max_memory_bytes,
             observer=observer,
         )
 
@@ -138,15 +144,24 @@ def names(paths: Sequence[Path]) -> list[str]:
 
 
 def check_file(path: Path, inputs: Sequence[Path] = ()) -> None:
-    """Refuses, before the work begins, a file that could not be written at its end or that is an input."""
+    """Refuses, before the work begins, a file that could not be written at its end or that is an input.
+
+    The file is claimed until the command ends: another run that would write it is refused.
+    """
     if path.is_dir():
         raise InputError(f"{path}: is a directory; give the name of a file")
-    for source in inputs:
-        if path.exists() and source.exists() and path.samefile(source):
-            raise InputError(f"{path}: is an input and would be overwritten; write to another file")
+    check_is_no_input(path, inputs)
     if not path.parent.is_dir():
         raise InputError(f"{path}: the directory {path.parent} does not exist; make it first")
     _check_writable(path, path.parent)
+    _claim(path)
+
+
+def check_is_no_input(path: Path, inputs: Sequence[Path]) -> None:
+    """Refuses a file that would overwrite what is read."""
+    for source in inputs:
+        if path.exists() and source.exists() and path.samefile(source):
+            raise InputError(f"{path}: is an input and would be overwritten; write to another file")
 
 
 def check_json(destination: str | None, inputs: Sequence[Path] = ()) -> None:
@@ -156,12 +171,21 @@ def check_json(destination: str | None, inputs: Sequence[Path] = ()) -> None:
 
 
 def check_directory(path: Path) -> None:
-    """Refuses, before the work begins, a directory that could not be written at its end."""
+    """Refuses, before the work begins, a directory that could not be written at its end; claims it as a file is."""
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file, not a directory; choose another name with -o")
     if not path.exists() and not path.absolute().parent.is_dir():
         raise InputError(f"{path}: the directory {path.absolute().parent} does not exist; make it first")
     _check_writable(path, path if path.exists() else path.absolute().parent)
+    _claim(path)
+
+
+def _claim(path: Path) -> None:
+    from vascval.io.locks import claimed
+
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.with_resource(claimed(path))
 
 
 def _check_writable(path: Path, directory: Path) -> None:

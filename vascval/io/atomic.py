@@ -37,17 +37,18 @@ def atomic_file(path: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def atomic_directory(path: Path | str) -> Iterator[Path]:
-    """A temporary folder to fill; its files are moved into ``path`` at the end, and dropped if anything is raised.
+    """A temporary folder to fill; it becomes ``path`` at the end, and is dropped if anything is raised.
 
-    ``path`` and its parents are made if they do not exist. Files already there are replaced where the names agree and
-    left alone otherwise.
+    Where ``path`` exists, the files are moved into it: those of the same name are replaced, others left alone, and
+    nothing is moved if one cannot be. Parents are made if they do not exist.
 
-    :raises InputError: when ``path`` is a file or its first existing parent is not a writable folder.
+    :raises InputError: when ``path`` is a file, it or its first existing parent is not writable, or a folder of that
+        name is where a file belongs or the other way round.
     """
     path = Path(path)
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file; give the name of a folder")
-    home = path.absolute().parent
+    home = path.absolute()
     while not home.exists():
         home = home.parent
     _require_folder(home / path.name)
@@ -55,17 +56,34 @@ def atomic_directory(path: Path | str) -> Iterator[Path]:
     try:
         aside.mkdir()
         yield aside
-        _move_into(aside, path)
+        if path.exists():
+            _require_room(aside, path)
+            _move_into(aside, path)
+        else:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            os.rename(aside, path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
     finally:
         shutil.rmtree(aside, ignore_errors=True)
 
 
-def _move_into(source: Path, target: Path) -> None:
-    target.mkdir(parents=True, exist_ok=True)
+def _require_room(source: Path, target: Path) -> None:
+    """:raises InputError: when something in ``source`` cannot take its place in ``target``."""
+    if not os.access(target, os.W_OK | os.X_OK):
+        raise InputError(f"{target}: is not writable; choose another place")
     for item in sorted(source.iterdir()):
-        if item.is_dir():
+        place = target / item.name
+        if place.exists() and place.is_dir() != item.is_dir():
+            kinds = ("a file", "a folder") if item.is_dir() else ("a folder", "a file")
+            raise InputError(f"{place}: is {kinds[0]} where {kinds[1]} belongs; move it away or choose another place")
+        if item.is_dir() and place.exists():
+            _require_room(item, place)
+
+
+def _move_into(source: Path, target: Path) -> None:
+    for item in sorted(source.iterdir()):
+        if item.is_dir() and (target / item.name).exists():
             _move_into(item, target / item.name)
         else:
             os.replace(item, target / item.name)
