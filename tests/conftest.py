@@ -9,6 +9,15 @@ import pytest
 
 _ROOT = Path(__file__).resolve().parents[1]
 
+if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+    import numpy as np
+
+    from generator.growth import _records
+
+    # fields of a record are its attributes in compiled code; in plain Python those of numpy.record alone are
+    for _name in ("SEGMENT", "VISIT"):
+        setattr(_records, _name, np.dtype((np.record, getattr(_records, _name))))
+
 
 def shared_data(*parts: str) -> Path:
     """A file of the shared data (``$VASCVAL_DATA``, else ``../shared/data`` beside the repository); skips without."""

@@ -1,0 +1,1 @@
+"""Branch coverage, kernels included; ``python -m tests.branches --help``."""
