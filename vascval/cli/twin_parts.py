@@ -36,6 +36,7 @@ _DECIDED = {
     "domain.shape": "use --domain",
 }
 _LEAST_INSIDE = 0.5
+_THICKENING = 1.5
 _TRIED = 100_000
 TISSUE_POINTS = 20_000
 
@@ -116,7 +117,7 @@ def hull_ground(cast: Tree, source: str, radius_mm: float | None, margin_mm: flo
 def _ground(domain: Domain, file: Path, surface: Surface | None, **facts: Any) -> Ground:
     from dataclasses import replace
 
-    named = None if surface is None else replace(surface, label="perfusion volume", voxel_mm=0.0)
+    named = None if surface is None else replace(surface, label="perfusion volume", voxel_mm=0.0, opacity=0.18)
     return Ground(domain, file, {**facts, "file": file.name, "volume_mm3": domain.volume_mm3}, named)
 
 
@@ -167,10 +168,11 @@ def start(cast: Tree, path: Path, ground: Ground) -> Start:
                 "out for a hull of the cast"
             )
     root, notes = _root(cast, entry, ground.domain, where)
+    notes += _thickening(entry.tree)
     if kept.length < 1.0:
         notes.append(
-            f"{1 - kept.length:.1%} of the cast's length and {1 - kept.terminals:.1%} of its terminals lie outside "
-            f"{where}; the cast is compared with them"
+            f"{1 - kept.length:.1%} of the length of the cast that is compared, and {1 - kept.terminals:.1%} of its "
+            f"terminals, lie outside {where}"
         )
     moved = 0.0 if entry.at_wall else float(np.linalg.norm(root - entry.tree.position_mm[1]))
     shares = {"length_inside_share_given": whole.length}
@@ -199,6 +201,18 @@ def _root(cast: Tree, entry: Entry, domain: Domain, where: str) -> tuple[np.ndar
             f"point inside, {_at(root)}, {np.linalg.norm(root - fork):.3g} mm away"
         )
     return root, notes
+
+
+def _thickening(cast: Tree) -> list[str]:
+    """A sentence where the cast is much thicker elsewhere than at its root, as if blood entered there."""
+    thickest = int(cast.radius_mm.argmax())
+    ratio = float(cast.radius_mm[thickest] / cast.radius_mm[0])
+    if ratio < _THICKENING:
+        return []
+    return [
+        f"the cast is {ratio:.1f} times as thick at {_at(cast.position_mm[thickest])} as at its root, "
+        f"{_at(cast.position_mm[0])}; if blood enters elsewhere, say so by --root"
+    ]
 
 
 def _at(point: np.ndarray) -> str:

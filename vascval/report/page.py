@@ -71,7 +71,8 @@ class Figure:
         """The names of its files, in short where they are many."""
         names = [picture.name for picture in self.pictures]
         shown = ", ".join(names) if len(names) <= 4 else f"{names[0].split('-')[0]}-*"
-        return f"figures/{shown} (svg, png)"
+        kinds = "png" if all(picture.mime == "image/png" for picture in self.pictures) else "svg, png"
+        return f"figures/{shown} ({kinds})"
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from vascval.report import view
 from vascval.report.formats import THIN, count, measure, percent, point
 from vascval.report.page import Cell, Figure, Items, Picture, Section, Table, Text
+from vascval.report.plots import from_zero, handles, line, panel, whole_ticks
 from vascval.report.scene import Surface, Tubes, bounds_mm, tubes, viewpoint
 
 if TYPE_CHECKING:
@@ -35,11 +36,16 @@ def twin(subject: Subject, given: Twin, figures: Path) -> Section:
         Figure(
             f"Cast and grown trees in the perfusion volume, {_words(given, subject)}.",
             _pictures(subject, given, figures),
+            two=True,
         ),
         Items(_setup(facts)),
-        _scaling(subject, facts),
         _filling(subject),
-        Text(_scaling_words(facts), "note"),
+        _size(subject, facts),
+        *([] if facts["root"]["n_segments_given"] else [Text(_scaling(facts))]),
+        Figure(
+            "Mean radius by generation, over the radius of the root: what remains when the scale is taken out.",
+            [_relative_radii(subject, facts, figures)],
+        ),
         *([Items(list(facts["notes"]))] if facts["notes"] else []),
     ]
     return Section("twin", "Twin", blocks)
@@ -107,15 +113,19 @@ def _setup(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _made(domain: Mapping[str, Any]) -> str:
     if domain["kind"] == "hull":
         return (
-            f"the closed hull of the cast: balls of {measure(domain['closing_mm'])}{THIN}mm cannot get in, and "
-            f"{measure(domain['margin_mm'])}{THIN}mm around it"
+            f"a hull of the cast: its closing by balls of {measure(domain['closing_mm'])}{THIN}mm radius, and "
+            f"{measure(domain['margin_mm'])}{THIN}mm around that"
         )
     gaps = f", gaps narrower than {measure(2 * domain['closing_mm'])}{THIN}mm closed" if domain["closing_mm"] else ""
     return f"{domain['source']}, a {domain['kind']}{gaps}"
 
 
-def _scaling(subject: Subject, facts: Mapping[str, Any]) -> Table:
-    head = [Cell("", "head"), *(Cell(side.label) for side, _ in subject.measured)]
+def _heads(subject: Subject) -> list[Cell]:
+    names = (side.label if side in subject.trees else side.short for side, _ in subject.measured)
+    return [Cell("", "head"), *(Cell(name) for name in names)]
+
+
+def _size(subject: Subject, facts: Mapping[str, Any]) -> Table:
     trees = facts["trees"]
     root = facts["root"]["radius_mm"]
     rows = [
@@ -132,33 +142,57 @@ def _scaling(subject: Subject, facts: Mapping[str, Any]) -> Table:
         ],
     ]
     body = [[Cell(row[0], "head"), *(Cell(text) for text in row[1:])] for row in rows]
-    return Table("Size of the trees.", [head], body, "report.json", small=True)
+    return Table("Size of the trees.", [_heads(subject)], body, "report.json")
 
 
 def _filling(subject: Subject) -> Table:
     measures = (
-        ("distance_mean_mm", "mean distance to the nearest terminal (mm)"),
+        ("distance_mean_mm", "mean distance (mm)"),
         ("distance_median_mm", "median (mm)"),
         ("distance_q95_mm", "95 % quantile (mm)"),
         ("distance_max_mm", "farthest (mm)"),
-        ("evenness", "mean over that of random terminals"),
+        ("evenness", "mean over that of as many random terminals"),
     )
-    head = [Cell("", "head"), *(Cell(side.label) for side, _ in subject.measured)]
     body = [
         [Cell(label, "head"), *(Cell(measure((analysis.coverage or {}).get(key))) for _, analysis in subject.measured)]
         for key, label in measures
     ]
-    return Table("Coverage: points of the perfusion volume.", [head], body, "report.json", small=True)
+    caption = "How the terminals fill the perfusion volume: distance of its points to the nearest."
+    return Table(caption, [_heads(subject)], body, "report.json")
 
 
-def _scaling_words(facts: Mapping[str, Any]) -> str:
-    drop = facts["perfusion"]["root_pressure_mmhg"] - facts["perfusion"]["terminal_pressure_mmhg"]
-    said = "; ".join(
-        f"{measure(tree['pressure_drop_at_cast_root_mmhg'])} mmHg for {tree['source']}" for tree in facts["trees"]
+def _scaling(facts: Mapping[str, Any]) -> str:
+    flow = facts["perfusion"]
+    end, drop = flow["root_pressure_mmhg"], flow["root_pressure_mmhg"] - flow["terminal_pressure_mmhg"]
+    said = " and ".join(
+        f"{measure(end - tree['pressure_drop_at_cast_root_mmhg'], 4)} mmHg for {tree['source']}"
+        for tree in facts["trees"]
     )
     return (
-        "Scaling: in the model all radii of a tree go with the fourth root of flow over pressure drop, and its shape "
-        f"does not depend on either. Between root and terminals {measure(drop)} mmHg are spent here; the root would "
-        f"be as thick as the cast's at {said}. A cast ends where its image or resin does, so that its terminals are "
-        "no arterioles: trees of as many terminals have as many generations, and are compared with it on these."
+        "Scale: in the model the radii of a tree go, all alike, with the fourth root of flow over pressure drop. A "
+        "cast ends where its image or resin does, far from where blood has spent its pressure; grown trees of as many "
+        f"terminals, with as many generations, spend all {measure(drop)} mmHg on these, and are thinner or thicker for "
+        "it. Their roots would be as thick as the cast's if the pressure at the terminals was "
+        f"{said} (perfusion.terminal_pressure_mmhg)."
     )
+
+
+def _relative_radii(subject: Subject, facts: Mapping[str, Any], figures: Path) -> Picture:
+    roots = [facts["root"]["radius_mm"], *(tree["root_radius_mm"] for tree in facts["trees"])]
+    rows = [
+        (side, side.generations["generation"], side.generations["radius_mean_mm"] / root)
+        for (side, _), root in zip(subject.measured, roots, strict=True)
+    ]
+
+    def draw(axes: Any) -> None:
+        for side, generation, ratio in rows:
+            axes.plot(generation, ratio, **line(side.series))
+        axes.set(xlabel="generation (root 1)", ylabel="mean radius / radius of the root")
+        whole_ticks(axes.xaxis)
+        from_zero(axes)
+
+    alt = "Mean radius over the root's by generation. " + " ".join(
+        f"{side.label}: {', '.join(f'{value:.2f}' for value in ratio)}." for side, _, ratio in rows
+    )
+    legend = handles([side.series for side, _, _ in rows])
+    return panel(figures, "twin-relative-radius", "Relative radius", alt, draw, legend=legend)
