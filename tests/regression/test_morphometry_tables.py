@@ -3,20 +3,18 @@
 ``VASCVAL_UPDATE_TABLES=1 pytest tests/regression`` writes them anew; continuous integration refuses that.
 """
 
-import os
 import time
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from tests.regression.golden import check
 from vascval.comparison import compare
 from vascval.core.tree import Topology, Tree
 from vascval.io.trees import read_tree
 from vascval.morphometry import analyze
 
-TABLES = Path(__file__).parent / "tables"
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
@@ -41,17 +39,6 @@ def asymmetric(n_terminals, *, sway=0.0, gamma=2.8):
 
     grow(0, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), n_terminals, 0.0)
     return Tree(Topology(np.array(parent)), np.array(position), np.array(radius))
-
-
-def check(table, name):
-    path = TABLES / f"{name}.csv"
-    if os.environ.get("VASCVAL_UPDATE_TABLES") == "1":
-        assert "CI" not in os.environ, "continuous integration compares tables, it does not write them"
-        TABLES.mkdir(exist_ok=True)
-        table.to_csv(path, index=False, lineterminator="\n", float_format="%.10g")
-    expected = pd.read_csv(path)
-    # ten digits are kept; sums of some thousand numbers differ by less between machines
-    pd.testing.assert_frame_equal(table, expected, check_dtype=False, rtol=1e-8, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["generations", "orders", "horton"])
