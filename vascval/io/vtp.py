@@ -50,10 +50,12 @@ def write_vtp(tree: Tree, path: Path | str, provenance: Mapping[str, Any] | None
     writer.SetDataModeToAppended()
     writer.EncodeAppendedDataOn()
     writer.SetHeaderTypeToUInt64()
-    with atomic_file(path) as aside, vtk_messages() as messages:
-        writer.SetFileName(str(aside))
+    writer.WriteToOutputStringOn()
+    with vtk_messages() as messages:
         if not writer.Write() or messages():
             raise InputError(f"{path}: cannot be written ({messages() or 'VTK refused'}); choose another place")
+    with atomic_file(path) as aside:
+        aside.write_text(writer.GetOutputString(), encoding="ascii", newline="")
 
 
 def _poly_data(tree: Tree, meta: Mapping[str, Any]) -> Any:
