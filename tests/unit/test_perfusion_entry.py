@@ -84,9 +84,16 @@ def test_nothing_inside():
         enter(fork(), beyond(100.0))
 
 
-def test_an_end_alone_inside():
-    with pytest.raises(InputError, match="the only vessel in the domain has no branches"):
-        enter(fork(), beyond(35.0))
+def test_an_end_alone_inside_keeps_the_fork_before_it():
+    entry = enter(fork(), beyond(35.0))
+    assert entry.tree.topology.n_terminals == 2 and not entry.at_wall
+    assert shares_inside(entry.tree, beyond(35.0)).length == pytest.approx(5.0 / 40.0, abs=2e-3)
+
+
+def test_no_branches():
+    line = Tree(Topology(np.array([-1, 0])), np.array([[0.0, 0, 0], [9, 0, 0]]), np.array([0, 1.0]))
+    with pytest.raises(InputError, match="the cast has no branches"):
+        enter(line, beyond(5.0))
 
 
 def test_subtree_of_the_stem_is_the_tree():

@@ -180,6 +180,7 @@ def test_a_larger_radius_gives_a_larger_hull():
     [
         ({"radius_mm": -1.0, "margin_mm": 1.0}, "the radius of the hull is -1.0 mm"),
         ({"radius_mm": 5.0, "margin_mm": np.nan}, "the margin of the hull is nan mm"),
+        ({"radius_mm": 5.0, "margin_mm": 0.01}, "the margin of 0.01 mm is too small for a hull of this size"),
         ({"radius_mm": 5.0, "margin_mm": 1.0, "voxel_mm": 0.8}, "voxels of 0.8 mm cannot show a margin of 1 mm"),
     ],
 )

@@ -67,7 +67,7 @@ def enter(tree: Tree, contains: Contains) -> Entry:
     most: vessels that lead there, and their branches elsewhere, are left out. Where the stem itself passes the wall it
     is cut there; a stem that forks in front of the volume is kept whole, so that its radius counts.
 
-    :raises InputError: when the root is outside and no vessel is inside, or none that branches.
+    :raises InputError: when the root is outside and no vessel is inside, or none branches.
     """
     if contains(tree.position_mm[:1])[0]:
         return Entry(tree, cut=False, at_wall=True)
@@ -81,13 +81,13 @@ def enter(tree: Tree, contains: Contains) -> Entry:
     for node in range(tree.n_nodes - 1, 0, -1):  # children come after their parents
         below[tree.parent[node]] += below[node]
     start, best = _best_suffix(samples, gain, inside, tree.n_nodes)
-    score = below - whole + best
-    score[0] = -np.inf
-    stem = int(np.argmax(score))
+    branches = tree.topology.n_children > 0
+    branches[0] = False
+    if not branches.any():
+        raise InputError("the cast has no branches; a tree of vessels is needed")
+    stem = int(np.argmax(np.where(branches, below - whole + best, -np.inf)))
     at_wall = bool(start[stem] >= 0)
     kept = subtree(tree, stem, _arc_mm(samples, start[stem]) if at_wall else 0.0)
-    if kept.topology.n_terminals < 2:
-        raise InputError("the only vessel in the domain has no branches; check that both are in one world frame, in mm")
     return Entry(kept, cut=True, at_wall=at_wall)
 
 

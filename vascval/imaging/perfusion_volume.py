@@ -18,7 +18,7 @@ from vascval.io.volumes import Volume
 
 RADIUS_SPACINGS, MARGIN_SPACINGS = 2.0, 0.5
 """The defaults, in mean distances of terminals (the cube root of convex hull over number)."""
-_MOST_VOXELS = 4_000_000
+_VOXELS, _MOST_VOXELS = 4_000_000, 16_000_000
 _DIAGONAL = float(np.sqrt(3.0) / 2.0)
 
 
@@ -45,8 +45,8 @@ def perfusion_volume(
 
     :param voxel_mm: edge of the voxels; at most half of the margin. By default an eighth of it, or more where the grid
         would have more than four million voxels.
-    :raises InputError: when a length is not positive or the voxels are too large; when the terminals span no volume
-        and no radius is given.
+    :raises InputError: when a length is not positive or the voxels are too large; when the margin is too small for any
+        grid; when the terminals span no volume and no radius is given.
     """
     if radius_mm is None or margin_mm is None:
         spacing = terminal_spacing_mm(tree)
@@ -59,7 +59,13 @@ def perfusion_volume(
     around = radius_mm + 2.0 * margin_mm
     if voxel_mm is None:
         size = np.ptp(points, axis=0) + 2.0 * (around + float(tree.radius_mm.max()))
-        voxel_mm = min(max(margin_mm / 8.0, float(np.cbrt(size.prod() / _MOST_VOXELS))), margin_mm / 2.0)
+        voxel_mm = min(max(margin_mm / 8.0, float(np.cbrt(size.prod() / _VOXELS))), margin_mm / 2.0)
+        least = 2.0 * float(np.cbrt(size.prod() / _MOST_VOXELS))
+        if margin_mm < least:
+            raise InputError(
+                f"the margin of {margin_mm:g} mm is too small for a hull of this size: it would need more than "
+                f"{_MOST_VOXELS:,} voxels; give {least:.2g} mm or more"
+            )
     if not 0 < voxel_mm <= 0.5 * margin_mm:
         raise InputError(
             f"voxels of {voxel_mm:g} mm cannot show a margin of {margin_mm:g} mm; take voxels of half of it or less"
