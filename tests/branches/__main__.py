@@ -18,15 +18,18 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = ["tests/unit", "tests/oracle", "tests/property", "tests/physics", "tests/regression", "tests/cli"]
 
+Files = dict[str, dict[str, float]]
+COUNTS = ("num_statements", "covered_lines", "num_branches", "covered_branches")
+
 
 def room(path: str) -> str:
     """The package that a file belongs to: ``generator.growth``, ``vascval.io``."""
     return ".".join(Path(path).parts[:-1])
 
 
-def shares(files: dict[str, dict[str, float]]) -> tuple[float, float]:
+def shares(files: Files) -> tuple[float, float]:
     """Percent of branches, and of lines and branches, that were taken."""
-    total = {key: sum(file[key] for file in files.values()) for key in next(iter(files.values()))}
+    total = {key: sum(file[key] for file in files.values()) for key in COUNTS}
     both = total["num_statements"] + total["num_branches"]
     taken = total["covered_lines"] + total["covered_branches"]
     return 100 * total["covered_branches"] / max(total["num_branches"], 1), 100 * taken / max(both, 1)
@@ -60,8 +63,8 @@ def main() -> int:
         subprocess.run([*run, *given.tests], cwd=ROOT, env=environment, check=False)
         report = given.json or Path(folder, "report.json")
         subprocess.run([*python, "coverage", "json", "-q", "-o", str(report)], cwd=ROOT, env=environment, check=True)
-        files = {name: file["summary"] for name, file in json.loads(report.read_text())["files"].items()}
-    rooms: dict[str, dict[str, dict[str, float]]] = defaultdict(dict)
+        files: Files = {name: file["summary"] for name, file in json.loads(report.read_text())["files"].items()}
+    rooms: dict[str, Files] = defaultdict(dict)
     for name, file in files.items():
         rooms[room(name)][name] = file
     for title, part in sorted(rooms.items()):
