@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
@@ -114,15 +116,37 @@ def match_tips(found: Tree, truth: Tree, tolerance_mm: float) -> tuple[np.ndarra
     rank = _tip_rank(truth)
     tips = truth.topology.terminals[np.argsort(rank[truth.topology.terminals])]
     candidates = found.topology.terminals
-    distance = cdist(truth.position_mm[tips], found.position_mm[candidates])
-    far = distance > tolerance_mm
-    rows, columns = linear_sum_assignment(np.where(far, 1e3 * tolerance_mm, distance))
-    good = ~far[rows, columns]
-    rows, columns = rows[good], columns[good]
+    rows, columns = _assigned(truth.position_mm[tips], found.position_mm[candidates], tolerance_mm)
     true_tip, found_tip = np.full(truth.n_nodes, -1), np.full(found.n_nodes, -1)
     true_tip[tips[rows]] = np.arange(rows.size)
     found_tip[candidates[columns]] = np.arange(rows.size)
-    return true_tip, found_tip, distance[rows, columns]
+    return (
+        true_tip,
+        found_tip,
+        np.linalg.norm(truth.position_mm[tips[rows]] - found.position_mm[candidates[columns]], axis=1),
+    )
+
+
+def _assigned(one: np.ndarray, other: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of ``one`` (n, 3) and ``other`` (m, 3) that are paired, ascending in ``one``.
+
+    Points farther apart than the tolerance are never paired, so that each cluster of near ones is a problem of its own.
+    """
+    near = cKDTree(one).sparse_distance_matrix(cKDTree(other), tolerance, output_type="coo_matrix")
+    n, m = near.shape
+    link = coo_matrix((np.ones(near.nnz), (near.row, near.col + n)), shape=(n + m, n + m))
+    _, cluster = connected_components(link, directed=False)
+    members = np.argsort(cluster, kind="stable")
+    pairs = []
+    for group in np.split(members, np.flatnonzero(np.diff(cluster[members])) + 1):
+        rows, columns = group[group < n], group[group >= n] - n
+        if rows.size and columns.size:
+            distance = cdist(one[rows], other[columns])
+            far = distance > tolerance
+            a, b = linear_sum_assignment(np.where(far, 1e3 * tolerance, distance))
+            pairs += [(rows[i], columns[j]) for i, j in zip(a, b) if not far[i, j]]
+    paired = np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
+    return paired[:, 0], paired[:, 1]
 
 
 def _tip_rank(tree: Tree) -> np.ndarray:

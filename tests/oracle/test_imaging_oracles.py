@@ -30,7 +30,7 @@ def random_mask(seed: int, share: float, smooth: float = 1.0) -> np.ndarray:
 
 
 def as_runs(mask: np.ndarray) -> runs.Runs:
-    return runs.from_slabs(mask.shape, lambda z: mask[z])
+    return runs.from_blocks(mask.shape, ((z, 0, mask[z : z + 1]) for z in range(len(mask))))
 
 
 def as_mask(code: runs.Runs) -> np.ndarray:
@@ -55,7 +55,7 @@ def test_runs_components_and_cavities_are_those_of_the_dense_mask(mask: np.ndarr
     parts = runs.components(code)
     assert parts.size_voxels.tolist() == sorted(np.bincount(labels.ravel())[1:].tolist(), reverse=True)
     assert n == parts.size_voxels.size
-    largest = as_mask(runs.keep(code, parts.label == 0))
+    largest = as_mask(runs.keep(code, parts.label, np.arange(parts.size_voxels.size) == 0))
     assert np.unique(labels[largest]).size == 1
     filled, n_cavities, n_filled = runs.fill_cavities(code)
     expected = ndimage.binary_fill_holes(mask)
@@ -147,7 +147,8 @@ def test_simple_voxels_are_those_whose_removal_keeps_the_topology(bits: int) -> 
 @given(masks)
 def test_thinning_keeps_the_topology_and_loops_are_counted_right(mask: np.ndarray) -> None:
     code = as_runs(mask)
-    code = runs.keep(code, runs.components(code).label == 0)
+    parts = runs.components(code)
+    code = runs.keep(code, parts.label, np.arange(parts.size_voxels.size) == 0)
     code, _, _ = runs.fill_cavities(code)
     listed = voxels.from_runs(code, np.ones(3))
     thickness = distance_map(listed)

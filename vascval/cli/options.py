@@ -115,6 +115,7 @@ class Selection:
     threshold: float | str | None = None
     root_mm: tuple[float, float, float] | None = None
     spacing_mm: tuple[float, float, float] | None = None
+    dataset: str | None = None
     max_memory_bytes: int | None = None
 
     def __post_init__(self) -> None:
@@ -129,6 +130,7 @@ class Selection:
     def given(self) -> list[str]:
         """The options that were given, as they are typed."""
         names = {"label": "--label", "threshold": "--threshold", "root_mm": "--root", "spacing_mm": "--spacing"}
+        names["dataset"] = "--dataset"
         return [option for name, option in names.items() if getattr(self, name) is not None]
 
 
@@ -154,11 +156,14 @@ _VOLUME_OPTIONS = (
         help="Voxel size in mm where the file states none.",
     ),
     click.option(
+        "--dataset", metavar="NAME", help="Which array of a zarr group or an HDF5 file, where there are several."
+    ),
+    click.option(
         "--max-memory",
         "max_memory_bytes",
         type=Memory(),
         metavar="SIZE",
-        help="Refuse, before reading, a volume that needs more than this, such as 2GB.",
+        help="Keep below this, such as 2GB; what needs more is refused before the work begins.",
     ),
 )
 

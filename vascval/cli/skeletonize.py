@@ -33,7 +33,7 @@ Examples:
 @volume_options
 @json_option
 def skeletonize(volume: Path, output: Path, selection: Selection, json_file: str | None) -> None:
-    """Turn the vessels in VOLUME (NRRD, NIfTI, MetaImage, TIFF) into a tree.
+    """Turn the vessels in VOLUME (NRRD, NIfTI, MetaImage, TIFF, zarr, HDF5) into a tree.
 
     Vessels are what is not 0, or the voxels chosen by --label or --threshold. The largest connected piece is kept,
     cavities are filled, loops are cut at their thinnest edge and spurs pruned; what was done is counted in the

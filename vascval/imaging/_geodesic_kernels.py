@@ -46,6 +46,23 @@ def neighbours(i, lattice, out, code):
 
 
 @njit
+def nearest_voxel(point, lattice, spacing):
+    """The voxel nearest to a point (x, y, z in mm along the axes of the grid), and how far it is."""
+    nearest, least = -1, np.inf
+    for r in range(lattice.link.shape[0]):
+        row, x, begin = lattice.span[r]
+        y, z = row % lattice.ny, row // lattice.ny
+        across = (y * spacing[1] - point[1]) ** 2 + (z * spacing[2] - point[2]) ** 2
+        if across >= least:
+            continue
+        for i in range(begin, lattice.span[r + 1, 2]):
+            square = ((x + i - begin) * spacing[0] - point[0]) ** 2 + across
+            if square < least:
+                nearest, least = i, square
+    return nearest, np.sqrt(least)
+
+
+@njit
 def geodesic(source, lattice, step):
     """Shortest-path distance from a voxel through 26-neighbours, ``step`` (27,) being the length of each step.
 

@@ -86,6 +86,82 @@ def components(row_offset, start, stop, ny, nz, full):
 
 
 @njit
+def numbered(first, start, stop):
+    """The labels of :func:`components` as numbers from 0 in the order of first runs, and each component's voxels."""
+    n = 0
+    for i in range(first.size):
+        n += first[i] == i
+    label = np.empty(first.size, np.int32)
+    size = np.zeros(n, np.int64)
+    n = 0
+    for i in range(first.size):
+        if first[i] == i:
+            label[i] = n
+            n += 1
+        else:
+            label[i] = label[first[i]]
+        size[label[i]] += stop[i] - start[i]
+    return label, size
+
+
+@njit
+def keep_runs(row_offset, start, stop, label, wanted):
+    """The runs whose ``label`` is ``wanted`` (a boolean for each label): row offsets, starts and stops."""
+    offset = np.zeros(row_offset.size, np.int64)
+    n = 0
+    for row in range(row_offset.size - 1):
+        for k in range(row_offset[row], row_offset[row + 1]):
+            n += wanted[label[k]]
+        offset[row + 1] = n
+    begin, end = np.empty(n, np.int32), np.empty(n, np.int32)
+    n = 0
+    for k in range(start.size):
+        if wanted[label[k]]:
+            begin[n], end[n] = start[k], stop[k]
+            n += 1
+    return offset, begin, end
+
+
+@njit
+def boxes(row_offset, start, stop, label, wanted, ny):
+    """(n_labels, 2, 3) the first and last x, y, z of each wanted component; others are left empty (first > last)."""
+    box = np.empty((wanted.size, 2, 3), np.int64)
+    box[:, 0] = 2**62
+    box[:, 1] = -1
+    for row in range(row_offset.size - 1):
+        y, z = row % ny, row // ny
+        for k in range(row_offset[row], row_offset[row + 1]):
+            c = label[k]
+            if wanted[c]:
+                box[c, 0, 0], box[c, 1, 0] = min(box[c, 0, 0], start[k]), max(box[c, 1, 0], stop[k] - 1)
+                box[c, 0, 1], box[c, 1, 1] = min(box[c, 0, 1], y), max(box[c, 1, 1], y)
+                box[c, 0, 2], box[c, 1, 2] = min(box[c, 0, 2], z), max(box[c, 1, 2], z)
+    return box
+
+
+@njit
+def crop_runs(row_offset, start, stop, label, wanted, ny, low, high):
+    """The parts of the runs labelled ``wanted`` (one number) in the box from ``low`` to before ``high`` (x, y, z)."""
+    size_y, size_z = high[1] - low[1], high[2] - low[2]
+    offset = np.zeros(size_y * size_z + 1, np.int64)
+    begin, end = np.empty(64, np.int32), np.empty(64, np.int32)
+    n = 0
+    for z in range(size_z):
+        for y in range(size_y):
+            row = (z + low[2]) * ny + y + low[1]
+            for k in range(row_offset[row], row_offset[row + 1]):
+                a, b = max(start[k], low[0]), min(stop[k], high[0])
+                if label[k] == wanted and a < b:
+                    if n == begin.size:
+                        begin = np.concatenate((begin, np.empty(n, np.int32)))
+                        end = np.concatenate((end, np.empty(n, np.int32)))
+                    begin[n], end[n] = a - low[0], b - low[0]
+                    n += 1
+            offset[z * size_y + y + 1] = n
+    return offset, begin[:n].copy(), end[:n].copy()
+
+
+@njit
 def background_runs(row_offset, start, stop, nx):
     """The runs of background: row offsets, starts and stops."""
     n_rows = row_offset.size - 1
@@ -118,9 +194,9 @@ def background_runs(row_offset, start, stop, nx):
 
 
 @njit
-def touches_border(label, row_offset, start, stop, nx, ny, nz):
-    """For each run label: does the component reach the border of the volume?"""
-    reached = np.zeros(label.size, np.bool_)
+def touches_border(label, n_labels, row_offset, start, stop, nx, ny, nz):
+    """For each label: does the component reach the border of the volume?"""
+    reached = np.zeros(n_labels, np.bool_)
     for row in range(row_offset.size - 1):
         y, z = row % ny, row // ny
         edge = y == 0 or z == 0 or y == ny - 1 or z == nz - 1

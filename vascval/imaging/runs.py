@@ -6,7 +6,7 @@ labelling or filling touches runs instead of voxels.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,24 +43,50 @@ class Runs:
             yield slab
 
 
-def from_slabs(shape: tuple[int, int, int], slab: Callable[[int], np.ndarray]) -> Runs:
-    """Runs of a mask that is asked for slab by slab, so that it never stands in memory whole.
+Watch = Callable[[int, int, int], None]
+
+
+def from_blocks(
+    shape: tuple[int, int, int], blocks: Iterable[tuple[int, int, np.ndarray]], watch: Watch | None = None
+) -> Runs:
+    """Runs of a mask that comes in blocks of whole rows, so that it never stands in memory whole.
 
     :param shape: (nz, ny, nx).
-    :param slab: gives the boolean (ny, nx) slab at each z.
+    :param blocks: z and y of the first row of each block, and its boolean values (dz, dy, nx); layers of equal z one
+        after the other, the blocks of a layer by ascending y.
+    :param watch: called after each layer with how many slices there are, and the runs and voxels in them.
     """
     nz, ny, nx = shape
-    count = np.empty((nz, ny), dtype=np.int64)
-    room = ny * ((nx + 1) // 2)
-    start, stop = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
-    starts, stops = [], []
-    for z in range(nz):
-        mask = np.ascontiguousarray(slab(z)).view(np.uint8)
-        n = kernels.find_runs(mask[None], count[z : z + 1], start, stop)
-        starts.append(start[:n].copy())
-        stops.append(stop[:n].copy())
-    offset = np.concatenate(([0], np.cumsum(count)))
-    return Runs(shape, offset, np.concatenate(starts), np.concatenate(stops))
+    offset = np.zeros(nz * ny + 1, dtype=np.int64)
+    count = offset[1:].reshape(nz, ny)
+    starts: list[np.ndarray] = []
+    stops: list[np.ndarray] = []
+    layer: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    n_runs = n_voxels = 0
+    start, stop = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.int32)
+    for z, y, values in blocks:
+        mask = np.ascontiguousarray(values).view(np.uint8)
+        depth, height, _ = mask.shape
+        room = depth * height * ((nx + 1) // 2)
+        if room > start.size:
+            start, stop = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
+        own = np.empty((depth, height), dtype=np.int64)
+        n = kernels.find_runs(mask, own, start, stop)
+        count[z : z + depth, y : y + height] = own
+        layer.append((np.concatenate(([0], np.cumsum(own.sum(axis=1)))), start[:n].copy(), stop[:n].copy()))
+        n_runs, n_voxels = n_runs + n, n_voxels + int(stop[:n].sum(dtype=np.int64) - start[:n].sum(dtype=np.int64))
+        if y + height < ny:
+            continue
+        for k in range(depth):
+            starts += [first[at[k] : at[k + 1]] for at, first, _ in layer]
+            stops += [end[at[k] : at[k + 1]] for at, _, end in layer]
+        layer = []
+        if watch is not None:
+            watch(z + depth, n_runs, n_voxels)
+    np.cumsum(offset, out=offset)
+    first = np.concatenate(starts)
+    starts.clear()
+    return Runs(shape, offset, first, np.concatenate(stops))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,18 +101,23 @@ def components(runs: Runs) -> Components:
     """Label the 26-connected components; equal sizes are ordered by their first voxel."""
     nz, ny, _ = runs.shape
     first = kernels.components(runs.row_offset, runs.start, runs.stop, ny, nz, True)
-    names, label = np.unique(first, return_inverse=True)
-    size = np.bincount(label, weights=runs.stop - runs.start, minlength=names.size).astype(np.int64)
+    label, size = kernels.numbered(first, runs.start, runs.stop)
     rank = np.argsort(-size, kind="stable")
-    position = np.empty_like(rank)
-    position[rank] = np.arange(rank.size)
+    position = np.empty(rank.size, dtype=np.int32)
+    position[rank] = np.arange(rank.size, dtype=np.int32)
     return Components(position[label], size[rank])
 
 
-def keep(runs: Runs, chosen: np.ndarray) -> Runs:
-    """Only the runs marked in the boolean array ``chosen``."""
-    total = np.concatenate(([0], np.cumsum(chosen)))
-    return Runs(runs.shape, total[runs.row_offset], runs.start[chosen], runs.stop[chosen])
+def keep(runs: Runs, label: np.ndarray, wanted: np.ndarray) -> Runs:
+    """Only the runs whose ``label`` (r,) is marked in the boolean array ``wanted`` (one for each label)."""
+    return Runs(runs.shape, *kernels.keep_runs(runs.row_offset, runs.start, runs.stop, label, wanted))
+
+
+def crop(runs: Runs, label: np.ndarray, wanted: int, low: np.ndarray, high: np.ndarray) -> Runs:
+    """The part of one component in the box from ``low`` to before ``high`` (x, y, z), as a mask of the box."""
+    nx, ny, nz = (int(n) for n in high - low)
+    cut = kernels.crop_runs(runs.row_offset, runs.start, runs.stop, label, wanted, runs.shape[1], low, high)
+    return Runs((nz, ny, nx), *cut)
 
 
 def fill_cavities(runs: Runs) -> tuple[Runs, int, int]:
@@ -96,12 +127,12 @@ def fill_cavities(runs: Runs) -> tuple[Runs, int, int]:
     """
     nz, ny, nx = runs.shape
     offset, start, stop = kernels.background_runs(runs.row_offset, runs.start, runs.stop, nx)
-    label = kernels.components(offset, start, stop, ny, nz, False)
-    open_to_border = kernels.touches_border(label, offset, start, stop, nx, ny, nz)[label]
-    if open_to_border.all():
+    label, size = kernels.numbered(kernels.components(offset, start, stop, ny, nz, False), start, stop)
+    shut = ~kernels.touches_border(label, size.size, offset, start, stop, nx, ny, nz)
+    if not shut.any():
         return runs, 0, 0
-    holes = keep(Runs(runs.shape, offset, start, stop), ~open_to_border)
-    return union(runs, holes), int(np.unique(label[~open_to_border]).size), holes.n_voxels
+    holes = Runs(runs.shape, *kernels.keep_runs(offset, start, stop, label, shut))
+    return union(runs, holes), int(shut.sum()), int(size[shut].sum())
 
 
 def from_voxels(shape: tuple[int, int, int], index_xyz: np.ndarray) -> Runs:

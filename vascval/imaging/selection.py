@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from vascval.core.errors import InputError
+from vascval.imaging import _value_kernels as kernels
+from vascval.imaging.runs import Runs, Watch, from_blocks
+from vascval.io.scans import Scan
 from vascval.io.volumes import Volume
 
 MAX_LABELS = 128
@@ -18,83 +22,113 @@ _BINS = 1024
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """``slab(z)`` gives the boolean (ny, nx) mask of a slice; ``rule`` says in words what was selected."""
+    """The ``runs`` of vessel voxels; ``rule`` says in words what was selected."""
 
-    slab: Callable[[int], np.ndarray]
+    runs: Runs
     rule: str
 
 
-def select(volume: Volume, *, label: int | None = None, threshold: float | str | None = None) -> Selection:
-    """The rule for vessel voxels.
+def select(
+    volume: Volume | Scan,
+    *,
+    label: int | None = None,
+    threshold: float | str | None = None,
+    watch: Watch | None = None,
+) -> Selection:
+    """The vessel voxels of a volume, which is read block by block: once where the rule is given, else twice; a third
+    time for Otsu's threshold.
 
     With a ``label``, the voxels of exactly that value; with a ``threshold``, those at or above it (``"auto"``: Otsu's).
     With neither: of a volume with two values the larger, which is a mask; of grey values those above Otsu's
     threshold. A label map of several labels needs a choice.
 
+    :param watch: see :func:`vascval.imaging.runs.from_blocks`.
     :raises InputError: for an absent label, a threshold that selects nothing or everything, a volume of one value,
         and a label map without a choice; the message lists what is there.
     """
     if label is not None and threshold is not None:
         raise InputError("both a label and a threshold are given; choose one")
-    values = volume.values
     if label is not None:
-        present = _distinct(values, MAX_LABELS)
-        if present is not None and not np.any(present == label):
-            raise InputError(f"label {label} is not there; the volume holds {_listed(present)}")
-        if present is None and not any(np.any(slab == label) for slab in values):
-            low, high = values.min(), values.max()
-            raise InputError(f"label {label} is not there; the volume holds values from {low} to {high}")
-        return Selection(lambda z: values[z] == label, f"voxels of label {label}")
-    if threshold is not None:
-        if isinstance(threshold, str):
-            return _above(values, _otsu(values), " (Otsu)")
-        return _above(values, float(threshold), "")
-    present = _distinct(values, MAX_LABELS)
-    if present is None or not np.equal(present, np.rint(present)).all():
-        return _above(values, _otsu(values), " (Otsu)")
+        runs = _runs(volume, lambda values: values == label, watch)
+        if runs.start.size == 0:
+            there = _survey(volume)
+            values = f"values from {there.low} to {there.high}" if there.present is None else _listed(there.present)
+            raise InputError(f"label {label} is not there; the volume holds {values}")
+        return Selection(runs, f"voxels of label {label}")
+    if threshold is not None and not isinstance(threshold, str):
+        return _above(volume, float(threshold), "", watch)
+    there = _survey(volume)
+    grey = there.present is None or not np.equal(there.present, np.rint(there.present)).all()
+    if threshold is not None or grey:
+        return _above(volume, _otsu(volume, there), " (Otsu)", watch)
+    present = there.present
+    assert present is not None
     if present.size == 1:
         raise InputError(f"every voxel has the value {present[0]:g}: nothing tells a vessel; check the file")
     if present.size == 2:
         high = present[1]
-        return Selection(lambda z: values[z] == high, f"voxels of value {high:g} (the rest is {present[0]:g})")
+        runs = _runs(volume, lambda values: values == high, watch)
+        return Selection(runs, f"voxels of value {high:g} (the rest is {present[0]:g})")
     raise InputError(f"the volume holds {_listed(present)}; choose one with --label, or grey values with --threshold")
 
 
-def _above(values: np.ndarray, level: float, how: str) -> Selection:
-    low, high = float(values.min()), float(values.max())
-    if not low < level <= high:
-        amount = "everything" if level <= low else "nothing"
-        raise InputError(f"threshold {level:g} selects {amount}; values run from {low:g} to {high:g}")
-    return Selection(lambda z: values[z] >= level, f"voxels at or above {level:g}{how}")
+def _runs(volume: Volume | Scan, is_vessel: Callable[[np.ndarray], np.ndarray], watch: Watch | None) -> Runs:
+    def masks() -> Iterator[tuple[int, int, np.ndarray]]:
+        for z, y, values in volume.blocks():
+            yield z, y, is_vessel(values)
+
+    return from_blocks(volume.shape, masks(), watch)
 
 
-def _distinct(values: np.ndarray, limit: int) -> np.ndarray | None:
-    """The different values, ascending; ``None`` if there are more than ``limit``. Looks slice by slice."""
-    if values.dtype.kind in "iub" and values.dtype.itemsize == 1:
-        seen = np.zeros(256, dtype=np.int64)
-        for slab in values:
-            seen += np.bincount(slab.ravel().view(np.uint8), minlength=256)
-        found = np.flatnonzero(seen).astype(np.uint8).view(values.dtype if values.dtype != bool else np.uint8)
-        return np.sort(found) if found.size <= limit else None
-    found = np.empty(0, dtype=values.dtype)
-    for slab in values:
-        found = np.union1d(found, slab)
-        if found.size > limit:
-            return None
-    return found
+def _above(volume: Volume | Scan, level: float, how: str, watch: Watch | None) -> Selection:
+    runs = _runs(volume, lambda values: values >= level, watch)
+    n_selected = runs.n_voxels
+    if n_selected in (0, math.prod(volume.shape)):
+        there = _survey(volume)
+        amount = "everything" if n_selected else "nothing"
+        raise InputError(
+            f"threshold {level:g} selects {amount}; values run from {float(there.low):g} to {float(there.high):g}"
+        )
+    return Selection(runs, f"voxels at or above {level:g}{how}")
 
 
-def _otsu(values: np.ndarray) -> float:
-    """Otsu's threshold from a histogram gathered slice by slice."""
+@dataclass(frozen=True, eq=False)
+class _Survey:
+    """The least and the largest value, and the different ones, ascending; ``None`` if more than ``MAX_LABELS``."""
+
+    low: np.generic
+    high: np.generic
+    present: np.ndarray | None
+
+
+def _survey(volume: Volume | Scan) -> _Survey:
+    dtype = np.dtype(np.uint8) if volume.dtype == bool else volume.dtype
+    found, n = np.empty(MAX_LABELS, dtype=dtype), 0
+    low = high = None
+    for _, _, values in volume.blocks():
+        if n >= 0:
+            n = kernels.distinct(values.view(dtype), found, n)
+        if n < 0:
+            least, most = values.min(), values.max()
+            low, high = least if low is None else min(low, least), most if high is None else max(high, most)
+    if n >= 0:
+        return _Survey(found[0], found[n - 1], found[:n])
+    # what came before the values were too many
+    assert low is not None
+    return _Survey(min(low, found.min()), max(high, found.max()), None)
+
+
+def _otsu(volume: Volume | Scan, there: _Survey) -> float:
+    """Otsu's threshold from a histogram gathered block by block."""
     from skimage.filters import threshold_otsu
 
-    low, high = float(values.min()), float(values.max())
+    low, high = float(there.low), float(there.high)
     if low == high:
         raise InputError(f"every voxel has the value {low:g}: nothing tells a vessel; check the file")
     edges = np.linspace(low, high, _BINS + 1)
     counts = np.zeros(_BINS, dtype=np.int64)
-    for slab in values:
-        counts += np.histogram(slab, bins=edges)[0]
+    for _, _, values in volume.blocks():
+        counts += np.histogram(values, bins=_BINS, range=(low, high))[0]
     return float(threshold_otsu(hist=(counts, (edges[:-1] + edges[1:]) / 2)))
 
 

@@ -13,15 +13,18 @@ from vascval.core.errors import InputError
 from vascval.core.tree import Topology, Tree
 from vascval.imaging import graph
 from vascval.imaging import runs as run_code
+from vascval.imaging._geodesic_kernels import nearest_voxel
 from vascval.imaging.breaks import Joined, join_breaks
 from vascval.imaging.distance import distance_map
 from vascval.imaging.graph import Branches, Loops, SkeletonGraph
+from vascval.imaging.memory import Budget, budget
 from vascval.imaging.refine import Refined, refine
 from vascval.imaging.runs import Runs
 from vascval.imaging.selection import select
 from vascval.imaging.thinning import thin
 from vascval.imaging.tips import Tips, find_tips, salience_mm
 from vascval.imaging.voxels import Voxels, from_runs
+from vascval.io.scans import Scan
 from vascval.io.volumes import Volume
 
 Observer = Callable[[str, float, float], None]
@@ -60,14 +63,15 @@ class Skeleton:
 
 
 def skeletonize(
-    volume: Volume,
+    volume: Volume | Scan,
     *,
     label: int | None = None,
     threshold: float | str | None = None,
     root_mm: tuple[float, float, float] | np.ndarray | None = None,
+    max_memory_bytes: int | None = None,
     observer: Observer | None = None,
 ) -> Skeleton:
-    """The tree of the vessels in a volume.
+    """The tree of the vessels in a volume, in memory or read block by block: the same tree bit for bit.
 
     The steps: select the voxels; keep the largest component and the fragments that continue it; fill cavities; exact
     distance map; tips (:mod:`vascval.imaging.tips`); thinning towards the tips; a graph whose loops are opened at their
@@ -77,14 +81,17 @@ def skeletonize(
     :param label: value of the vessel's voxels; ``threshold``: least value, ``"auto"`` for Otsu's; see
         :func:`vascval.imaging.selection.select`.
     :param root_mm: point in the world frame where the vessel enters; by default the end of the thickest stem.
+    :param max_memory_bytes: what the process may hold, the volume included; the memory of the machine by default.
     :param observer: called with the stage's name and how much is done.
-    :raises InputError: when nothing is selected, the vessel is too small to have a direction, or the root lies outside.
+    :raises InputError: when that is not enough (known before the work begins), nothing is selected, the vessel is too
+        small to have a direction, or the root lies outside.
     """
 
     report = observer or (lambda stage, done, total: None)
     report("select", 0, 7)
-    selection = select(volume, label=label, threshold=threshold)
-    clean = _clean(volume, selection.slab, report)
+    memory = budget(volume, max_memory_bytes)
+    selection = select(volume, label=label, threshold=threshold, watch=memory.require_read)
+    clean = _clean(selection.runs, volume.spacing_mm, memory, report)
     report("distance map", 2, 7)
     thickness = distance_map(clean.voxels)
     if not np.isfinite(thickness).all():
@@ -135,16 +142,13 @@ class _Clean:
     n_filled: int
 
 
-def _clean(volume: Volume, slab: Callable[[int], np.ndarray], report: Observer) -> _Clean:
-    nz, ny, nx = volume.values.shape
-    selected = run_code.from_slabs((nz, ny, nx), slab)
-    if selected.start.size == 0:
-        raise InputError("no voxel is selected; look at the values and choose another --label or --threshold")
+def _clean(selected: Runs, spacing_mm: np.ndarray, memory: Budget, report: Observer) -> _Clean:
     report("clean", 1, 7)
     parts = run_code.components(selected)
-    joined = join_breaks(selected, parts, volume.spacing_mm)
+    memory.require_all(selected.start.size, selected.n_voxels, int(parts.size_voxels[1:2].sum()))
+    joined = join_breaks(selected, parts, spacing_mm)
     runs, n_cavities, n_filled = run_code.fill_cavities(joined.runs)
-    return _Clean(runs, from_runs(runs, volume.spacing_mm), parts.size_voxels, joined, n_cavities, n_filled)
+    return _Clean(runs, from_runs(runs, spacing_mm), parts.size_voxels, joined, n_cavities, n_filled)
 
 
 def _cleaning_record(clean: _Clean) -> dict[str, Any]:
@@ -160,21 +164,19 @@ def _cleaning_record(clean: _Clean) -> dict[str, Any]:
     }
 
 
-def _root_voxel(volume: Volume, voxels: Voxels, tips: Tips, thickness: np.ndarray, root_mm: np.ndarray) -> int:
+def _root_voxel(volume: Volume | Scan, voxels: Voxels, tips: Tips, thickness: np.ndarray, root_mm: np.ndarray) -> int:
     """The voxel where the vessel is to enter: the tip nearest to the given point if it is within two radii of it."""
     if root_mm.shape != (3,) or not np.isfinite(root_mm).all():
         raise InputError(f"root {root_mm.tolist()} is no point; three finite numbers x, y, z in mm are needed")
-    centre = voxels.index_xyz() * voxels.spacing_mm
     point = volume.to_index(root_mm) * voxels.spacing_mm
-    away = np.sqrt(((centre - point) ** 2).sum(axis=1))
-    nearest = int(np.argmin(away))
-    if away[nearest] > 2 * voxels.spacing_mm.max():
+    nearest, away = nearest_voxel(point, voxels.lattice, voxels.spacing_mm)
+    if away > 2 * voxels.spacing_mm.max():
         where = ", ".join(f"{value:.2f}" for value in volume.to_world(voxels.index_xyz(nearest)))
         raise InputError(
-            f"root {', '.join(f'{value:g}' for value in root_mm)} lies {away[nearest]:.2f} mm outside the vessels; "
+            f"root {', '.join(f'{value:g}' for value in root_mm)} lies {away:.2f} mm outside the vessels; "
             f"give a point on them in the world frame (mm), the nearest is {where}"
         )
-    to_tip = np.sqrt(((centre[tips.voxel] - point) ** 2).sum(axis=1))
+    to_tip = np.sqrt(((voxels.index_xyz(tips.voxel) * voxels.spacing_mm - point) ** 2).sum(axis=1))
     tip = int(np.argmin(to_tip))
     near = to_tip[tip] <= 2 * (thickness[nearest] + voxels.spacing_mm.max())
     return int(tips.voxel[tip]) if near else nearest
@@ -244,7 +246,7 @@ def _spurs(tree: Branches, geometry: Refined) -> np.ndarray:
     return np.flatnonzero((n_children[1:] == 0) & branching & (reach <= thickest[at]))
 
 
-def _tree(volume: Volume, fitted: _Fitted) -> Tree:
+def _tree(volume: Volume | Scan, fitted: _Fitted) -> Tree:
     """The refined branches in the world frame of the volume."""
     geometry = fitted.geometry
     point = volume.to_world(geometry.point_mm / volume.spacing_mm)

@@ -16,13 +16,49 @@ _HEADER_BYTES = 1 << 20
 _MAX_FILES = 100_000
 
 
+@dataclass(frozen=True, eq=False)
+class Flat:
+    """Values that lie in files as they are: ``dtype`` with its byte order, ``shape`` (nz, ny, nx), and for each slice
+    the number of its file, ``file`` (nz,), and where it begins there in bytes, ``start`` (nz,)."""
+
+    dtype: np.dtype
+    shape: tuple[int, int, int]
+    files: tuple[Path, ...]
+    file: np.ndarray
+    start: np.ndarray
+
+
+def consecutive(dtype: np.dtype, sizes: Sequence[int], files: Sequence[Path], skips: Sequence[int]) -> Flat | None:
+    """Values in the order of memory, in files of equally many slices, after some bytes to skip in each.
+
+    ``None`` where there are not three axes, or the files do not end with a slice.
+    """
+    if len(sizes) != 3 or min(sizes) < 2 or sizes[2] % len(files):
+        return None
+    nx, ny, nz = sizes
+    each = nz // len(files)
+    start = np.array(skips)[:, None] + np.arange(each) * (nx * ny * dtype.itemsize)
+    return Flat(dtype, (nz, ny, nx), tuple(files), np.repeat(np.arange(len(files)), each), start.ravel())
+
+
+def stacked(flats: Sequence[Flat | None]) -> Flat | None:
+    """The slices of several files as one volume; ``None`` if they are not all alike."""
+    parts = [part for part in flats if part is not None]
+    if len(parts) < len(flats) or len({(part.dtype, part.shape) for part in parts}) > 1:
+        return None
+    nz, ny, nx = parts[0].shape
+    files = tuple(part.files[0] for part in parts)
+    file = np.repeat(np.arange(len(parts)), nz)
+    return Flat(parts[0].dtype, (nz * len(parts), ny, nx), files, file, np.concatenate([part.start for part in parts]))
+
+
 @dataclass(frozen=True)
 class Header:
     """What a header says: ``reader`` is the name of the ITK reader, ``sizes`` the axis lengths as stored (empty where
     only the library knows), ``itemsize`` the bytes per value, ``mm_per_unit`` what the spacing and origin that the
     library reports are to be multiplied by, ``unpacked_bytes`` what compressed NIfTI must unpack to, ``texts`` the
     key-value pairs of the writer, ``files`` and ``data_at`` where MetaImage keeps its data, ``least_bytes`` what the
-    ``files`` of NRRD must hold at least, however densely they are packed."""
+    ``files`` of NRRD must hold at least, however densely they are packed, ``flat`` where uncompressed values lie."""
 
     kind: str
     reader: str
@@ -35,6 +71,7 @@ class Header:
     files: tuple[Path, ...] = ()
     data_at: int = 0
     least_bytes: int = 0
+    flat: Flat | None = None
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,22 @@ import struct
 import zlib
 from pathlib import Path
 
+import numpy as np
+
 from vascval.core.errors import InputError
 from vascval.core.units import MM_PER
 from vascval.io import meta_image, tiff_headers
-from vascval.io.header_checks import Header, confined, first_bytes, integers, numbered_files, positive, require_bytes
+from vascval.io.header_checks import (
+    Flat,
+    Header,
+    confined,
+    consecutive,
+    first_bytes,
+    integers,
+    numbered_files,
+    positive,
+    require_bytes,
+)
 
 
 def read_header(path: Path) -> Header:
@@ -33,7 +45,12 @@ def read_header(path: Path) -> Header:
     if head[:4] in tiff_headers.MAGIC:
         pages = tiff_headers.read_pages(path)
         sizes = (pages.width, pages.height, pages.count)
-        return Header("TIFF", "TIFFImageIO", sizes, itemsize=max(pages.bits // 8, 1), has_spacing=False)
+        values = None
+        if pages.dtype is not None:
+            files = np.zeros(pages.count, dtype=np.int64)
+            values = Flat(pages.dtype, sizes[::-1], (path,), files, np.array(pages.starts))
+        itemsize = max(pages.bits // 8, 1)
+        return Header("TIFF", "TIFFImageIO", sizes, itemsize=itemsize, has_spacing=False, flat=values)
     if meta_image.is_header(head):
         return meta_image.read_header(path, head)
     raw = _unzipped(head) if head[:2] == b"\x1f\x8b" else head
@@ -105,7 +122,20 @@ def _nrrd(path: Path, head: bytes) -> Header:
         texts=texts,
         files=tuple(files),
         least_bytes=_nrrd_least(path, encoding, math.prod(sizes), itemsize),
+        flat=_nrrd_flat(fields, sizes, files, 0 if "datafile" in fields else data_at),
     )
+
+
+def _nrrd_flat(fields: dict[str, str], sizes: tuple[int, ...], files: list[Path], data_at: int) -> Flat | None:
+    """Where raw values lie, if nothing but bytes at the beginning of a file is to be skipped."""
+    name = fields["type"].lower()
+    kind = "f" if name in ("float", "double") else "u" if name.startswith("u") else "i"
+    itemsize = _NRRD_BYTES[name]
+    order = {"little": "<", "big": ">"}.get(fields.get("endian", "little" if itemsize == 1 else "").lower())
+    skips = [fields.get(key, "0") for key in ("lineskip", "byteskip")]
+    if fields.get("encoding", "").lower() != "raw" or order is None or skips != ["0", "0"]:
+        return None
+    return consecutive(np.dtype(f"{order}{kind}{itemsize}"), sizes, files, [data_at] * len(files))
 
 
 def _require_short_words(path: Path, files: list[Path], data_at: int) -> None:

@@ -26,10 +26,7 @@ def read_image(
     """
     import SimpleITK as sitk
 
-    sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    reader = sitk.ImageFileReader()
-    reader.SetImageIO(header.reader)
-    reader.SetFileName(str(files[0]))
+    reader = _reader(files[0], header)
     is_stack = path.is_dir()
     with printed() as complaint:
         try:
@@ -50,11 +47,40 @@ def read_image(
             raise InputError(f"{path}: {_reason(error, header.kind)}") from error
         if complaint():
             raise InputError(f"{path}: cannot be read as {header.kind} ({complaint()[:160]}); it is damaged")
+    return _raster(np.asarray(_Pixels(image)), image, notes)
+
+
+def read_frame(path: Path, file: Path, header: Header) -> Raster | None:
+    """Place and notes of an image, with one voxel for its values; ``None`` if its size is not that of the header."""
+    reader = _reader(file, header)
+    with printed() as complaint:
+        try:
+            reader.ReadImageInformation()
+        except RuntimeError as error:
+            raise InputError(f"{path}: {_reason(error, header.kind)}") from error
+        if complaint():
+            raise InputError(f"{path}: cannot be read as {header.kind} ({complaint()[:160]}); it is damaged")
+    if tuple(reader.GetSize()) != header.sizes or reader.GetNumberOfComponents() != 1:
+        return None
+    return _raster(np.zeros((1, 1, 1), dtype=np.uint8), reader, [])
+
+
+def _reader(file: Path, header: Header) -> Any:
+    import SimpleITK as sitk
+
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    reader = sitk.ImageFileReader()
+    reader.SetImageIO(header.reader)
+    reader.SetFileName(str(file))
+    return reader
+
+
+def _raster(values: np.ndarray, source: Any, notes: list[str]) -> Raster:
     return Raster(
-        values=np.asarray(_Pixels(image)),
-        spacing=np.array(image.GetSpacing()),
-        origin=np.array(image.GetOrigin()),
-        direction=np.array(image.GetDirection()).reshape(3, 3),
+        values=values,
+        spacing=np.array(source.GetSpacing()),
+        origin=np.array(source.GetOrigin()),
+        direction=np.array(source.GetDirection()).reshape(3, 3),
         notes=notes,
     )
 

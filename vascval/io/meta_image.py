@@ -8,13 +8,24 @@ from __future__ import annotations
 import math
 import re
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
 from vascval.core.errors import InputError
-from vascval.io.header_checks import Header, Raster, confined, integers, numbered_files, require_bytes, require_shape
+from vascval.io.header_checks import (
+    Flat,
+    Header,
+    Raster,
+    confined,
+    consecutive,
+    integers,
+    numbered_files,
+    require_bytes,
+    require_shape,
+)
 
 _LINE = re.compile(rb"\s*[A-Za-z]\w*\s*[=:]")
 _TYPES = {
@@ -63,6 +74,7 @@ def read_header(path: Path, head: bytes) -> Header:
         texts=fields,
         files=files,
         data_at=0 if names else data_at,
+        flat=_flat(fields, sizes, files, 0 if names else data_at),
     )
 
 
@@ -103,23 +115,47 @@ def read_voxels(path: Path, header: Header) -> Raster:
 
     :raises InputError: when there are not three axes of one value each, or the data are not all there.
     """
+    raster = read_frame(path, header)
+    flat = np.empty(math.prod(header.sizes), dtype=_dtype(header.texts))
+    _fill(path, header, flat.view(np.uint8).data)
+    values = flat if flat.dtype.isnative else flat.byteswap(inplace=True).view(flat.dtype.newbyteorder("="))
+    return replace(raster, values=values.reshape(header.sizes[2::-1]))
+
+
+def read_frame(path: Path, header: Header) -> Raster:
+    """Place and notes of the volume, with a single voxel for its values.
+
+    :raises InputError: when there are not three axes of one value each, or values are not binary.
+    """
     fields, n = header.texts, len(header.sizes)
     notes = require_shape(path, header.sizes, False, int(float(fields.get("ElementNumberOfChannels", "1"))))
     if fields.get("BinaryData", "True").lower() in ("false", "0"):
         raise InputError(f"{path}: holds its values as text; save it with BinaryData = True")
-    big = _is_true(fields, "BinaryDataByteOrderMSB") or _is_true(fields, "ElementByteOrderMSB")
-    dtype = _TYPES[fields["ElementType"].removeprefix("MET_").removesuffix("_ARRAY")]
-    flat = np.empty(math.prod(header.sizes), dtype=(">" if big else "<") + dtype)
-    _fill(path, header, flat.view(np.uint8).data)
-    values = flat if flat.dtype.isnative else flat.byteswap(inplace=True).view(dtype)
     direction = _numbers(fields, _DIRECTION, np.eye(n)).T
     return Raster(
-        values=values.reshape(header.sizes[2::-1]),
+        values=np.zeros((1, 1, 1), dtype=np.uint8),
         spacing=_numbers(fields, _SPACING, np.ones(n))[:3],
         origin=_numbers(fields, _ORIGIN, np.zeros(n))[:3],
         direction=direction[:3, :3],
         notes=notes,
     )
+
+
+def _dtype(fields: dict[str, str]) -> np.dtype:
+    big = _is_true(fields, "BinaryDataByteOrderMSB") or _is_true(fields, "ElementByteOrderMSB")
+    return np.dtype((">" if big else "<") + _TYPES[fields["ElementType"].removeprefix("MET_").removesuffix("_ARRAY")])
+
+
+def _flat(fields: dict[str, str], sizes: tuple[int, ...], files: tuple[Path, ...], data_at: int) -> Flat | None:
+    """Where uncompressed values of one channel lie."""
+    channels = int(float(fields.get("ElementNumberOfChannels", "1")))
+    if _is_true(fields, "CompressedData") or channels != 1:
+        return None
+    dtype, skip = _dtype(fields), int(float(fields.get("HeaderSize", "0")))
+    share = math.prod(sizes) * dtype.itemsize // len(files)
+    at_end = skip < 0 and data_at == 0
+    skips = [max(file.stat().st_size - share, 0) if at_end else data_at + max(skip, 0) for file in files]
+    return consecutive(dtype, sizes, files, skips)
 
 
 def _fill(path: Path, header: Header, target: memoryview) -> None:

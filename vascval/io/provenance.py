@@ -18,7 +18,7 @@ from vascval.core.errors import InputError
 
 
 def sha256(path: Path | str) -> str:
-    """Hexadecimal SHA-256 of a file; of a folder: of the names and checksums of its files, sorted by name.
+    """Hexadecimal SHA-256 of a file; of a folder: of the names and checksums of what is in it, sorted by name.
 
     :raises InputError: when it cannot be read.
     """
@@ -27,7 +27,7 @@ def sha256(path: Path | str) -> str:
         if not path.is_dir():
             with path.open("rb") as stream:
                 return _digest(stream)
-        lines = [f"{item.name} {sha256(item)}\n" for item in sorted(path.iterdir()) if item.is_file()]
+        lines = [f"{item.name} {sha256(item)}\n" for item in sorted(path.iterdir())]
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); check its name") from error
     return hashlib.sha256("".join(lines).encode()).hexdigest()
@@ -59,7 +59,7 @@ def provenance(
 
 
 def _input(path: Path) -> dict[str, Any]:
-    files = [item for item in path.iterdir() if item.is_file()] if path.is_dir() else [path]
+    files = [item for item in path.rglob("*") if item.is_file()] if path.is_dir() else [path]
     digest = sha256(path)
     return {"name": path.name, "sha256": digest, "bytes": sum(item.stat().st_size for item in files)}
 

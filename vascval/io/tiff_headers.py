@@ -12,23 +12,35 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from vascval.core.errors import InputError
 
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _MAX_PAGES = 200_000
 _KIND, _WIDTH, _HEIGHT, _BITS, _PACKING, _SAMPLES, _ROWS_PER_STRIP = 254, 256, 257, 258, 259, 277, 278
 _PLACES = ((273, 279), (324, 325))  # offsets and byte counts of strips, of tiles
+_FORMAT, _LIGHT, _ORDER, _ORIENTATION = 339, 262, 266, 274
+_USUAL = {_PACKING: 1, _SAMPLES: 1, _LIGHT: 1, _ORDER: 1, _ORIENTATION: 1}
+_KINDS = {
+    **{(1, bits): f"u{bits // 8}" for bits in (8, 16, 32)},
+    **{(2, bits): f"i{bits // 8}" for bits in (8, 16, 32)},
+    **{(3, bits): f"f{bits // 8}" for bits in (32, 64)},
+}
 _CODES = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
 
 @dataclass(frozen=True)
 class Pages:
-    """``width``, ``height`` and ``bits`` per value of all pages, and how many there are."""
+    """``width``, ``height`` and ``bits`` per value of all pages, and how many there are; ``dtype`` and ``starts`` where
+    the values of each page lie uncompressed in one piece, else ``None``."""
 
     width: int
     height: int
     bits: int
     count: int
+    dtype: np.dtype | None
+    starts: list[int]
 
 
 def read_pages(path: Path) -> Pages:
@@ -37,6 +49,8 @@ def read_pages(path: Path) -> Pages:
     :raises InputError: when pages differ in size, or directories or data lie beyond the end of the file.
     """
     sizes: list[tuple[int, int, int]] = []
+    kinds: set[str | None] = set()
+    starts: list[int] = []
     try:
         with path.open("rb") as stream:
             reader = _Reader(stream)
@@ -48,6 +62,8 @@ def read_pages(path: Path) -> Pages:
                 tags, at = reader.directory(at)
                 sizes.append((tags.get(_WIDTH, [0])[0], tags.get(_HEIGHT, [0])[0], tags.get(_BITS, [1])[0]))
                 _require_page(path, len(sizes) - 1, tags, reader.size)
+                kinds.add(_plain(tags, reader.endian))
+                starts.append(tags.get(_PLACES[0][0], [0])[0])
     except (_Missing, struct.error, OSError):
         what = f"page {len(sizes)} of the TIFF is not all there"
         raise InputError(f"{path}: {what}; it is truncated, get it again") from None
@@ -56,7 +72,18 @@ def read_pages(path: Path) -> Pages:
     other = next((i for i, size in enumerate(sizes) if size != sizes[0]), None)
     if other is not None:
         raise InputError(f"{path}: page {other} of the TIFF differs from page 0 in size or type; separate them")
-    return Pages(*sizes[0], len(sizes))
+    kind = kinds.pop() if len(kinds) == 1 else None
+    return Pages(*sizes[0], len(sizes), None if kind is None else np.dtype(kind), starts)
+
+
+def _plain(tags: dict[int, Sequence[int]], endian: str) -> str | None:
+    """The type of the values of a page that lie uncompressed, black being 0, in strips one after the other."""
+    if _PLACES[0][0] not in tags or any(tags.get(tag, [usual])[0] != usual for tag, usual in _USUAL.items()):
+        return None
+    kind = _KINDS.get((tags.get(_FORMAT, [1])[0], tags.get(_BITS, [1])[0]))
+    starts, counts = tags[_PLACES[0][0]], tags[_PLACES[0][1]]
+    ends = [start + count for start, count in zip(starts, counts)]
+    return None if kind is None or list(starts[1:]) != ends[:-1] else endian + kind
 
 
 def _require_page(path: Path, page: int, tags: dict[int, Sequence[int]], size: int) -> None:
@@ -95,7 +122,7 @@ class _Reader:
         self._stream = stream
         self.size = os.fstat(stream.fileno()).st_size
         magic = stream.read(4)
-        self._endian = "<" if magic[:2] == b"II" else ">"
+        self.endian = "<" if magic[:2] == b"II" else ">"
         self._big = b"+" in magic
 
     def first(self) -> int:
@@ -110,20 +137,20 @@ class _Reader:
         if count > 65535:
             raise _Missing
         raw = self._bytes(start, count * entry_size)
-        plain = (_KIND, _WIDTH, _HEIGHT, _BITS, _PACKING, _SAMPLES, _ROWS_PER_STRIP)
+        plain = (_KIND, _WIDTH, _HEIGHT, _BITS, _ROWS_PER_STRIP, _FORMAT, *_USUAL)
         wanted = {*plain, *(tag for pair in _PLACES for tag in pair)}
         tags: dict[int, Sequence[int]] = {}
-        for tag, kind, n, value in struct.iter_unpack(self._endian + entry_code, raw):
+        for tag, kind, n, value in struct.iter_unpack(self.endian + entry_code, raw):
             if tag in wanted and kind in _CODES and n > 0:
-                code = f"{self._endian}{n}{_CODES[kind]}"
+                code = f"{self.endian}{n}{_CODES[kind]}"
                 size = n * struct.calcsize("=" + _CODES[kind])
                 if size > len(value):
-                    value = self._bytes(struct.unpack(self._endian + value_code, value)[0], size)
+                    value = self._bytes(struct.unpack(self.endian + value_code, value)[0], size)
                 tags[tag] = struct.unpack(code, value[:size])
         return tags, self._number(value_code, start + count * entry_size)
 
     def _number(self, code: str, at: int) -> int:
-        return struct.unpack(self._endian + code, self._bytes(at, struct.calcsize("=" + code)))[0]
+        return struct.unpack(self.endian + code, self._bytes(at, struct.calcsize("=" + code)))[0]
 
     def _bytes(self, at: int, count: int) -> bytes:
         if at + count > self.size:

@@ -11,7 +11,7 @@ import math
 import os
 import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from vascval.core.errors import InputError
-from vascval.io import itk, meta_image
+from vascval.io import hdf5_arrays, itk, meta_image, zarr_arrays
 from vascval.io.atomic import atomic_file
-from vascval.io.header_checks import Header
+from vascval.io.header_checks import Header, Raster, stacked
 from vascval.io.image_headers import read_header, require_whole
 
 SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd", ".tif", ".tiff")
@@ -73,6 +73,25 @@ class Volume:
             raise InputError(f"direction {self.direction.tolist()} has no inverse; three independent axes are needed")
         object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
 
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        nz, ny, nx = self.values.shape
+        return nz, ny, nx
+
+    @property
+    def dtype(self) -> np.dtype:
+        return self.values.dtype
+
+    @property
+    def block_voxels(self) -> int:
+        """How many voxels a block has."""
+        return self.shape[1] * self.shape[2]
+
+    def blocks(self) -> Iterator[tuple[int, int, np.ndarray]]:
+        """The volume slice by slice: z, y = 0 and the values (1, ny, nx) of each; as :meth:`scans.Scan.blocks`."""
+        for z in range(self.shape[0]):
+            yield z, 0, self.values[z : z + 1]
+
     def to_world(self, index_xyz: np.ndarray) -> np.ndarray:
         """World positions (..., 3) in mm of voxel indices (..., 3) in the order x, y, z; whole indices are centres."""
         return (np.asarray(index_xyz, dtype=np.float64) * self.spacing_mm) @ self.direction.T + self.origin_mm
@@ -84,8 +103,8 @@ class Volume:
 
 
 def is_volume_path(path: Path | str) -> bool:
-    """Whether the name is that of a volume, or of a folder (of slices)."""
-    return str(path).lower().endswith(SUFFIXES) or Path(path).is_dir()
+    """Whether the name is that of a volume, or of a folder (of slices, or zarr)."""
+    return str(path).lower().endswith((*SUFFIXES, *hdf5_arrays.SUFFIXES)) or Path(path).is_dir()
 
 
 def check_spacing(spacing_mm: np.ndarray) -> None:
@@ -98,6 +117,11 @@ def check_spacing(spacing_mm: np.ndarray) -> None:
 
 def default_memory_bytes() -> int:
     """What a volume may take when nothing is said: half of the memory that is available now."""
+    return int(_SHARE_OF_AVAILABLE * available_memory_bytes())
+
+
+def available_memory_bytes() -> int:
+    """The memory that is available now, to this machine or to the control group that we are in."""
     available = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")] if hasattr(os, "sysconf") else [4 << 30]
     try:
         match = re.search(r"MemAvailable:\s+(\d+) kB", Path("/proc/meminfo").read_text())
@@ -107,13 +131,13 @@ def default_memory_bytes() -> int:
         available += [max(int(limit) - used, 0)] if limit.isdigit() else []
     except OSError:
         pass  # not Linux, or no control group: the figures so far stand
-    return int(_SHARE_OF_AVAILABLE * min(available))
+    return int(min(available))
 
 
 def read_volume(
     path: Path | str, *, spacing_mm: Sequence[float] | None = None, max_memory_bytes: int | None = None
 ) -> Volume:
-    """An image with three axes: NRRD, NIfTI, MetaImage, a TIFF of many pages, or a folder of numbered TIFF slices.
+    """An image with three axes: NRRD, NIfTI, MetaImage, a TIFF of many pages, a folder of TIFF slices, zarr, HDF5.
 
     The values keep their type and are held once. Everything that was taken as given is noted in ``meta["notes"]``.
 
@@ -123,27 +147,68 @@ def read_volume(
     """
     path = Path(path)
     allowed = default_memory_bytes() if max_memory_bytes is None else int(max_memory_bytes)
-    given = None if spacing_mm is None else np.asarray(spacing_mm, dtype=np.float64)
-    if given is not None and given.shape != (3,):
-        raise InputError(f"the spacing {given.tolist()} is not three numbers; give X,Y,Z in mm")
-    files = slices_of(path) if path.is_dir() else [path]
-    header = read_header(files[0])
-    if path.is_dir():
-        header = _stack_header(path, files, header)
-    if not header.has_spacing and given is None:
-        raise InputError(f"{path}: {header.kind} gives no spacing in three dimensions; use --spacing X,Y,Z (mm)")
-    _require_memory(path, allowed, header.sizes, header.itemsize)
+    if zarr_arrays.is_zarr(path) or hdf5_arrays.is_hdf5(path):
+        from vascval.io.scans import read_stored
+
+        return read_stored(path, spacing_mm, allowed)
+    described = describe(path, given_spacing(spacing_mm))
+    header = described.header
+    require_memory(path, allowed, header.sizes, header.itemsize)
     require_whole(path, header)
     if header.kind == "MetaImage":
         raster = meta_image.read_voxels(path, header)
     else:
-        raster = itk.read_image(path, files, header, partial(_require_memory, path, allowed))
+        raster = itk.read_image(path, described.files, header, partial(require_memory, path, allowed))
+    volume = place(described, raster)
+    try:
+        for z in range(volume.shape[0]):
+            require_finite(volume.values[z : z + 1], z, 0)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return volume
+
+
+def given_spacing(spacing_mm: Sequence[float] | None) -> np.ndarray | None:
+    """:raises InputError: when a spacing is given that is not three numbers."""
+    given = None if spacing_mm is None else np.asarray(spacing_mm, dtype=np.float64)
+    if given is not None and given.shape != (3,):
+        raise InputError(f"the spacing {given.tolist()} is not three numbers; give X,Y,Z in mm")
+    return given
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """An image of which the header alone is read: its ``files`` (slices of a folder) and the spacing that was given."""
+
+    path: Path
+    files: list[Path]
+    header: Header
+    given_mm: np.ndarray | None
+
+
+def describe(path: Path, given_mm: np.ndarray | None) -> Described:
+    """The header of an image file or a folder of slices.
+
+    :raises InputError: when it is no such image, or gives no spacing and none was given.
+    """
+    files = slices_of(path) if path.is_dir() else [path]
+    header = read_header(files[0])
+    if path.is_dir():
+        header = _stack_header(path, files, header)
+    if not header.has_spacing and given_mm is None:
+        raise InputError(f"{path}: {header.kind} gives no spacing in three dimensions; use --spacing X,Y,Z (mm)")
+    return Described(path, files, header, given_mm)
+
+
+def place(described: Described, raster: Raster) -> Volume:
+    """The values of a file in their place in the world, in millimetres."""
+    path, header, given = described.path, described.header, described.given_mm
     if given is not None and header.has_spacing:
         raster.notes.append(f"spacing given as {given.tolist()} mm, the file says {raster.spacing.tolist()}")
     scale = header.mm_per_unit
     meta = {**_stored_meta(header), "source": path.name, "format": header.kind, "notes": raster.notes}
     try:
-        volume = Volume(
+        return Volume(
             values=raster.values,
             spacing_mm=raster.spacing * scale if given is None else given,
             origin_mm=raster.origin * scale,
@@ -152,8 +217,6 @@ def read_volume(
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    _require_finite(path, volume.values)
-    return volume
 
 
 def slices_of(folder: Path) -> list[Path]:
@@ -182,15 +245,19 @@ def slices_of(folder: Path) -> list[Path]:
 
 def _stack_header(folder: Path, files: list[Path], first: Header) -> Header:
     """The header of a stack of slices, all of which must be alike."""
+    flats = []
     for file in files:
         other = read_header(file)
         if other.kind != "TIFF" or other.sizes != first.sizes or other.itemsize != first.itemsize:
             size = " x ".join(map(str, other.sizes[:2]))
             raise InputError(f"{folder}: slice {file.name} has {size} pixels of another kind; take it out or mend it")
-    return replace(first, sizes=(*first.sizes[:2], first.sizes[2] * len(files)))
+        flats.append(other.flat)
+    sizes = (*first.sizes[:2], first.sizes[2] * len(files))
+    return replace(first, sizes=sizes, flat=stacked(flats))
 
 
-def _require_memory(path: Path, allowed: int, sizes: Sequence[int], itemsize: int) -> None:
+def require_memory(path: Path, allowed: int, sizes: Sequence[int], itemsize: int) -> None:
+    """Refuses values that need more memory than is allowed."""
     needed = math.prod(sizes) * itemsize
     if needed > allowed:
         raise InputError(
@@ -199,16 +266,14 @@ def _require_memory(path: Path, allowed: int, sizes: Sequence[int], itemsize: in
         )
 
 
-def _require_finite(path: Path, values: np.ndarray) -> None:
-    if not np.issubdtype(values.dtype, np.inexact):
+def require_finite(values: np.ndarray, z: int, y: int) -> None:
+    """Refuses a block (dz, dy, nx), which begins at slice z and row y, with a value that is not finite."""
+    if not np.issubdtype(values.dtype, np.inexact) or np.isfinite(values).all():
         return
-    for z, plane in enumerate(values):
-        bad = ~np.isfinite(plane)
-        if bad.any():
-            y, x = np.argwhere(bad)[0]
-            raise InputError(
-                f"{path}: voxel ({x}, {y}, {z}) is {plane[y, x]}; replace values that are not finite by background"
-            )
+    at = np.argwhere(~np.isfinite(values))[0]
+    where = f"({at[2]}, {at[1] + y}, {at[0] + z})"
+    value = values[tuple(at)]
+    raise InputError(f"voxel {where} is {value}; replace values that are not finite by background")
 
 
 def _stored_meta(header: Header) -> dict[str, Any]:
