@@ -58,7 +58,7 @@ def kind(path: Path) -> Kind:
     if is_volume_path(path):
         return "volume"
     raise InputError(
-        f"{path}: neither a volume nor a tree by its name; volumes are NRRD, NIfTI, MetaImage or TIFF, "
+        f"{path}: neither a volume nor a tree by its name; volumes are NRRD, NIfTI, MetaImage, TIFF, zarr or HDF5, "
         "trees VTP, VTK, SWC or GXL"
     )
 
@@ -84,11 +84,14 @@ def read_tree(path: Path, unit: str | None) -> Tree:
 def skeletonize(path: Path, selection: Selection, observer: Observer | None) -> Skeleton:
     """The tree of the vessels in a volume."""
     from vascval import imaging
-    from vascval.io.volumes import read_volume
+    from vascval.io.scans import open_scan
 
     with about(path):
-        volume = read_volume(
-            path, spacing_mm=selection.spacing_mm, max_memory_bytes=selection.max_memory_bytes
+        volume = open_scan(
+            path,
+            spacing_mm=selection.spacing_mm,
+            dataset=selection.dataset,
+            max_memory_bytes=selection.max_memory_bytes,
         )
         for text in volume.meta.get("notes", ()):
             note(f"{path}: {text}")
@@ -97,6 +100,7 @@ def skeletonize(path: Path, selection: Selection, observer: Observer | None) -> 
             label=selection.label,
             threshold=selection.threshold,
             root_mm=selection.root_mm,
+            max_memory_bytes=selection.max_memory_bytes,
             observer=observer,
         )
 
