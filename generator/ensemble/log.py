@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from logging.handlers import MemoryHandler
 from pathlib import Path
 
@@ -41,20 +42,29 @@ class Log:
 @contextmanager
 def logged() -> Iterator[Log]:
     """A log; what Dask warns of meanwhile goes there too, and nowhere else."""
-    memory, warnings = MemoryHandler(capacity=1), MemoryHandler(capacity=1)
+    import_module("distributed")  # gives its loggers their handlers
+    ours, warnings = MemoryHandler(capacity=1), MemoryHandler(capacity=1)
     warnings.setLevel(logging.WARNING)
-    ours, dask = logging.getLogger("vascval.ensemble"), logging.getLogger("distributed")
-    before = dask.handlers[:], dask.propagate
-    ours.setLevel(logging.INFO)
-    ours.propagate = False
-    ours.addHandler(memory)
-    dask.handlers, dask.propagate = [warnings], False
+    logger = logging.getLogger("vascval.ensemble")
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    logger.handlers = [ours]
+    theirs = [one for one in map(logging.getLogger, _names()) if one.handlers]
+    before = [one.handlers for one in theirs]
+    for one in theirs:
+        one.handlers = [warnings]
     try:
-        yield Log(ours, (memory, warnings))
+        yield Log(logger, (ours, warnings))
     finally:
-        ours.removeHandler(memory)
-        dask.handlers, dask.propagate = before
-        for handler in (memory, warnings):
-            if handler.target is not None:
-                handler.target.close()
-            handler.close()
+        logger.handlers = []
+        for one, handlers in zip(theirs, before):
+            one.handlers = handlers
+        for memory in (ours, warnings):
+            if memory.target is not None:
+                memory.target.close()
+            memory.close()
+
+
+def _names() -> list[str]:
+    """The loggers of Dask and what it stands on."""
+    return [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]

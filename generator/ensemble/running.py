@@ -167,14 +167,17 @@ def _result(future: Future) -> Grown | Failed | None:
     """What a worker made; nothing when it was lost."""
     from distributed import CancelledError, KilledWorker
 
-    error = future.exception()
-    if error is None:
-        result: Grown | Failed = future.result()
-        return result
+    try:
+        error = future.exception()
+        if error is None:
+            result: Grown | Failed = future.result()
+            return result
+    except CancelledError as lost:
+        raise ComputationError(_SCHEDULER_LOST) from lost
+    except KilledWorker as lost:
+        error = lost
     if isinstance(error, KilledWorker):
         return None
-    if isinstance(error, CancelledError):
-        raise ComputationError(_SCHEDULER_LOST)
     trace = "".join(traceback.format_exception(error))
     return Failed(f"internal error, {type(error).__name__}: {error}", trace)
 

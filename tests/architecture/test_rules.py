@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted([*ROOT.glob("vascval/**/*.py"), *ROOT.glob("generator/**/*.py")])
 KERNELS = [path for path in SOURCES if re.fullmatch(r"_(\w+_)?kernels\.py", path.name)]
 HEAVY = ("numpy", "numba", "pandas", "scipy", "SimpleITK", "vtk", "vtkmodules", "pyvista", "matplotlib", "plotly",
-         "skimage", "pydantic", "jinja2", "rich")  # fmt: skip
+         "skimage", "dask", "distributed", "pydantic", "jinja2", "rich")  # fmt: skip
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
 

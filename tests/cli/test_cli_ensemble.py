@@ -9,6 +9,8 @@ import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import jsonschema
@@ -16,6 +18,7 @@ import pandas as pd
 import pytest
 from cli_files import contents
 
+from generator.ensemble import running
 from vascval.cli.main import main
 from vascval.io import schemas
 
@@ -56,6 +59,30 @@ def wait_for(pattern: str, folder: Path, process: subprocess.Popen, count: int =
         assert process.poll() is None, process.communicate()
         time.sleep(0.02)
     raise AssertionError(f"{pattern} is not in the log:\n{log_of(folder)}")
+
+
+@contextmanager
+def cluster(folder: Path, n_workers: int) -> Iterator[tuple[str, list[subprocess.Popen]]]:
+    """A Dask scheduler and workers as processes of their own, in another directory; its address, and they."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    dask = [sys.executable, "-m", "dask"]
+    commands = [[*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), "--dashboard-address", "127.0.0.1:0"]]
+    commands += [[*dask, "worker", address, "--nthreads", "1", "--no-dashboard"]] * n_workers
+    (folder / "elsewhere").mkdir()
+    with (folder / "output").open("w") as output:
+        processes = [
+            subprocess.Popen(command, cwd=folder / "elsewhere", stdout=output, stderr=output) for command in commands
+        ]
+        try:
+            yield address, processes
+        finally:
+            for process in reversed(processes):
+                process.terminate()
+            for process in processes:
+                process.wait(timeout=60)
 
 
 def error_line(capsys) -> str:
@@ -138,25 +165,8 @@ def test_a_second_call_makes_only_what_is_missing(made):
 
 def test_two_workers_of_a_scheduler_in_processes_of_their_own(made, tmp_path):
     """What a cluster runs, started by the commands that start it there."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address = f"tcp://127.0.0.1:{port}"
-    dask = [sys.executable, "-m", "dask"]
-    commands = [[*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), "--dashboard-address", "127.0.0.1:0"]]
-    commands += [[*dask, "worker", address, "--nthreads", "1", "--no-dashboard"]] * 2
-    (tmp_path / "elsewhere").mkdir()
-    with (tmp_path / "output").open("w") as output:
-        processes = [
-            subprocess.Popen(command, cwd=tmp_path / "elsewhere", stdout=output, stderr=output) for command in commands
-        ]
-        try:
-            document = ensemble(*GRID, "--seeds", 3, "--scheduler", address, "-o", tmp_path / "cluster")
-        finally:
-            for process in reversed(processes):
-                process.terminate()
-            for process in processes:
-                process.wait(timeout=60)
+    with cluster(tmp_path, 2) as (address, _processes):
+        document = ensemble(*GRID, "--seeds", 3, "--scheduler", address, "-o", tmp_path / "cluster")
     assert document["n_made"] == 6
     assert same_everywhere(tmp_path / "cluster") == same_everywhere(made)
 
@@ -200,6 +210,19 @@ def test_ctrl_c_keeps_what_is_done(tmp_path):
     assert 1 <= n_done < 5 and n_done + states.count("missing") == 5
     assert len(list((folder / "trees").iterdir())) == 2 * n_done
     assert ensemble(*SLOW, "--seeds", 5, *options)["n_made"] == 5 - n_done
+
+
+def test_a_scheduler_lost_in_the_middle(tmp_path):
+    folder = tmp_path / "lost"
+    with cluster(tmp_path, 1) as (address, (scheduler, _worker)):
+        command = [*VASCVAL, *SLOW, "--seeds", "3", "--scheduler", address, "-o", str(folder)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        wait_for("done on", folder, process)
+        scheduler.kill()
+        _out, err = process.communicate(timeout=120)
+    assert process.returncode == 1
+    assert err == f"vascval: error: {running._SCHEDULER_LOST}\n"
+    assert [tree["state"] for tree in json.loads((folder / "manifest.json").read_text())["trees"]].count("done") == 1
 
 
 def test_trees_that_fail_do_not_stop_the_others(tmp_path, capsys):

@@ -5,12 +5,13 @@ import signal
 
 import pytest
 
-from generator.ensemble import work
+from generator.ensemble import running, work
 from generator.ensemble.plan import Order, plan
-from generator.ensemble.running import Begun, Finished, run, warm
+from generator.ensemble.running import Begun, Deserted, Finished, run, warm
 from generator.ensemble.work import Failed, Grown, make, warm_up
 from generator.ensemble.workers import connected, n_threads, one_per_host
-from vascval.core.errors import InputError
+from vascval.core.errors import ComputationError, InputError
+from vascval.core.threads import threads
 from vascval.core.tree import Tree
 
 POISON = 3
@@ -119,6 +120,38 @@ def test_calling_off_leaves_the_workers_free(client):
     events.close()
     (finished,) = (event for event in run(client, orders(seeds=1), volume) if isinstance(event, Finished))
     assert isinstance(finished.result, Grown)
+
+
+class Deserters:
+    """A client whose workers have gone, and then the scheduler."""
+
+    def __init__(self) -> None:
+        self.status, self.looks = "running", 0
+
+    def nthreads(self) -> dict:
+        self.looks += 1
+        self.status = "running" if self.looks < 3 else "closed"
+        return {}
+
+    def subscribe_topic(self, topic: str, handler: object) -> None:
+        pass
+
+
+def test_without_workers_it_waits_and_without_a_scheduler_it_ends(monkeypatch):
+    monkeypatch.setattr(running, "_SECONDS_BETWEEN_LOOKS", 0.01)
+    events = run(Deserters(), orders(), volume)  # type: ignore[arg-type]
+    assert next(events) == Deserted()
+    with pytest.raises(ComputationError, match="the scheduler was lost; call again"):
+        next(events)
+
+
+@pytest.mark.parametrize(("set_there", "used"), [(None, 1), ("2", 2)])
+def test_a_tree_uses_one_thread_unless_told_otherwise(set_there, used, monkeypatch, tmp_path):
+    monkeypatch.delenv("VASCVAL_THREADS")
+    if set_there is not None:
+        monkeypatch.setenv("VASCVAL_THREADS", set_there)
+    assert isinstance(make(orders()[0], str(tmp_path), volume, lambda _: None), Grown)
+    assert threads() == used
 
 
 @pytest.mark.parametrize("address", ["nonsense", "host", "smtp://host:25", "tcp://host", ""])
