@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import jsonschema
@@ -19,6 +19,11 @@ import pytest
 from cli_files import contents
 
 from generator.ensemble import running
+from generator.ensemble.log import logged
+from generator.ensemble.manifest import Manifest
+from generator.ensemble.plan import plan
+from generator.ensemble.work import Failed
+from vascval.cli import ensemble as command
 from vascval.cli.main import main
 from vascval.io import schemas
 
@@ -284,3 +289,27 @@ def test_where_the_directory_is_a_file(tmp_path, capsys):
     (tmp_path / "study").write_text("mine")
     assert main([*GRID, "--seeds", "2", "-o", str(tmp_path / "study")]) == 2
     assert "is a file, not a directory" in error_line(capsys)
+
+
+def test_one_bar_for_all_workers(tmp_path, monkeypatch):
+    """The trees done and the shares of those at work, and nothing counted twice when a worker is lost."""
+    orders = plan("karch-box", ("n_terminals=20",), (), 3).orders
+    events = [
+        running.Begun("seed-2", "a"),
+        running.Begun("seed-3", "b"),
+        running.Share("seed-2", 0.5),
+        running.Share("seed-3", 0.25),
+        running.Begun("seed-2", "b", again=True),
+        running.Finished(orders[2], Failed("no room")),
+        running.Finished(orders[1], Failed("no room")),
+    ]
+    shown: list[tuple] = []
+    monkeypatch.setattr(running, "run", lambda *_: (event for event in events))
+    monkeypatch.setattr(command, "progress", lambda: nullcontext(lambda *what: shown.append(what)))
+    manifest = Manifest.of(plan("karch-box", ("n_terminals=20",), (), 3), tmp_path / "manifest.json", tmp_path)
+    with logged() as log:
+        log.begin(tmp_path / "log")
+        assert command._drive(None, list(orders[1:]), 3, manifest, log) == 0
+    assert shown == [("trees", done, 3) for done in (1.0, 1.0, 1.5, 1.75, 1.25, 2.0, 3.0)]
+    lines = [line.split(" ", 2)[2] for line in log_of(tmp_path).splitlines()]
+    assert lines[2:4] == ["seed-2: begun again, its worker was lost on b", "seed-3: failed: no room"]
