@@ -29,7 +29,7 @@ from vascval.io.volumes import Volume, read_volume, write_volume
 from .phantoms import KINDS, grow, phantom
 from .score import score
 
-NEEDS = {"vascval": "vascval.imaging", "skan": "skan"}
+NEEDS = {"vascval": "vascval.imaging", "skan": "skan", "kimimaro": "kimimaro"}
 ROOT = Path(__file__).parents[2]
 
 
@@ -102,10 +102,11 @@ def peak_memory_mib() -> float:
 
 def skeletonise(tool: str, volume: Volume, root_mm: np.ndarray | None) -> tuple[Tree, dict[str, Any]]:
     """Tree and record by the named tool; ours finds the root by itself when none is given."""
-    if tool == "skan":
-        from .rivals import skan_tree
+    if tool != "vascval":
+        from .rivals import kimimaro_tree, skan_tree
 
-        return skan_tree(volume, volume.origin_mm if root_mm is None else root_mm)
+        trace = skan_tree if tool == "skan" else kimimaro_tree
+        return trace(volume, volume.origin_mm if root_mm is None else root_mm)
     from vascval.imaging import skeletonize
 
     found = skeletonize(volume, root_mm=root_mm)
@@ -121,7 +122,7 @@ def compare_tools(tools: Sequence[str], options: argparse.Namespace, folder: Pat
             path = folder / f"{made.name}.nrrd"
             write_volume(made.volume, path)
             for tool in tools:
-                root = made.truth.position_mm[0] if tool == "skan" or options.give_root else None
+                root = made.truth.position_mm[0] if tool != "vascval" or options.give_root else None
                 result = run(tool, path, root)
                 points = score(result.tree, made.truth, 1.0, image=result.image)
                 drawn = score(result.tree, made.drawn, 1.0).radius_error
