@@ -40,7 +40,10 @@ def open_array(path: Path, dataset: str | None) -> Stored:
 
     scale = None
     place = path
-    if not _is_array(path):
+    if _is_array(path):
+        if dataset is not None:
+            raise InputError(f"{path}: is one zarr array and no group; leave out --dataset")
+    else:
         image = _multiscale(path)
         if image is not None and dataset is None:
             name, scale = _finest(path, image), image
