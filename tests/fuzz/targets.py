@@ -27,7 +27,8 @@ class Target:
     """A reader: ``read(path)`` raises ``InputError`` or AssertionError when what it returns is unsound.
 
     ``seeds()`` are sound files; ``companions`` lie beside the file; ``packed`` wraps a mutated file for half of the
-    cases. ``factor``: bytes of memory that it may take for each byte of the file, beyond ``worker.ALLOWANCE``.
+    cases. It may take ``fixed`` bytes of memory whatever the size of the file (buffers and code of the libraries that
+    it loads) and ``factor`` for each byte of it.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Target:
     companions: Mapping[str, bytes] = field(default_factory=dict)
     packed: Callable[[bytes], bytes] | None = None
     factor: int = 100
+    fixed: int = 48 << 20
 
 
 def _tree(path: Path) -> None:
@@ -89,6 +91,7 @@ def _gz(data: bytes) -> bytes:
     return gzip.compress(data, 1, mtime=0)
 
 
+_GRID = 144 << 20  # of up to 400,000 cells, into which a surface is sorted
 _RAW = seeds.values().tobytes()
 _BESIDE = {"a.raw": _RAW, "s001.raw": _RAW[:12], "s002.raw": _RAW[12:]}
 
@@ -106,10 +109,10 @@ TARGETS = {
         Target("mha", ".mha", _volume, seeds.mha, factor=PACKED),
         Target("mhd", ".mhd", _volume, seeds.mhd, _BESIDE),
         Target("tif", ".tif", _volume, seeds.tif, factor=PACKED),
-        Target("stl", ".stl", _surface, seeds.stl),
-        Target("obj", ".obj", _surface, seeds.obj),
-        Target("surface.vtk", ".vtk", _surface, seeds.surface_vtk),
-        Target("surface.vtp", ".vtp", _surface, seeds.surface_vtp),
+        Target("stl", ".stl", _surface, seeds.stl, fixed=_GRID),
+        Target("obj", ".obj", _surface, seeds.obj, fixed=_GRID),
+        Target("surface.vtk", ".vtk", _surface, seeds.surface_vtk, fixed=_GRID),
+        Target("surface.vtp", ".vtp", _surface, seeds.surface_vtp, fixed=_GRID),
         Target("points", ".csv", _points, seeds.points_csv),
         Target("reference", ".csv", _reference, seeds.reference_csv, factor=170),
         Target("config", ".toml", _config, seeds.toml),

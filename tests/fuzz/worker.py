@@ -27,8 +27,6 @@ from tests.fuzz.mutate import mutated, words
 from tests.fuzz.targets import TARGETS, Target
 from vascval.core.errors import InputError
 
-ALLOWANCE = 48 << 20
-"""Bytes that a reader may take whatever the size of the file: buffers and code of the libraries that it loads."""
 SLOW_S = 3.0
 """CPU time of one case (a file of at most 64 KiB) that counts as a fault."""
 LONGEST = 1000
@@ -187,7 +185,7 @@ class Worker:
         self.slowest = max(self.slowest, seconds)
         sys.stdout.flush()
         sys.stderr.flush()
-        if said is None and memory.peak > ALLOWANCE + target.factor * len(data):
+        if said is None and memory.peak > target.fixed + target.factor * len(data):
             said = f"memory: {memory.peak:,} bytes for a file of {len(data):,}"
         if said is None and seconds > SLOW_S:
             said = f"slow: {seconds:.1f} s for a file of {len(data):,} bytes"

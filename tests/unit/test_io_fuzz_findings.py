@@ -113,6 +113,9 @@ def test_counts_that_python_calls_digits(tmp_path: Path, old: bytes, number: str
 def test_numbers_beyond_single_precision(tmp_path: Path) -> None:
     data = changed(seeds.vtk()[0], b"VECTORS v float\n1 0", b"VECTORS v float\n1e300 0")
     assert read_tree(given(tmp_path, ".vtk", data)).n_segments == 3
+    single = changed(seeds.vtp()[0], b'type="Float64" Name="Points"', b'type="Float32" Name="Points"')
+    with pytest.raises(InputError, match="1 points are not finite"):
+        read_tree(given(tmp_path, ".vtp", changed(single, b"0 0 10", b"0 0 1e300")))
     data = changed(seeds.vtk()[0], b"POINTS 4 double\n0 0 0", b"POINTS 4 float\n0 0 1e300")
     with pytest.raises(InputError, match="1 points are not finite"):
         read_tree(given(tmp_path, ".vtk", data))

@@ -52,7 +52,8 @@ def decode(encoding: Encoding, attributes: Mapping[str, str], text: str) -> np.n
     dtype = np.dtype(code)
     try:
         if kind == "ascii":
-            values = np.array(text.split(), dtype=np.float64 if code[0] == "f" else np.int64).astype(dtype)
+            with np.errstate(over="ignore"):  # what is beyond single precision is not finite, which is looked for
+                values = np.array(text.split(), dtype=np.float64 if code[0] == "f" else np.int64).astype(dtype)
         else:
             stored = _Stored(encoding, kind, attributes.get("offset", "0"), text)
             raw = stored.unpacked() if encoding.compressor else stored.plain()
