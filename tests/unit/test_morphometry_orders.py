@@ -40,6 +40,16 @@ def test_elements(table: pd.DataFrame) -> None:
     assert table["taper_per_mm"][1:].isna().all()
 
 
+def test_elements_of_less_than_a_millimetre(table: pd.DataFrame) -> None:
+    """The same tree a hundredth as long: radii are weighted all the same, and tapers a hundred times as steep."""
+    tree = bent()
+    small = Tree(tree.topology, tree.position_mm / 100, tree.radius_mm)
+    found = orders.element_table(small, strahler_order(tree.topology))
+    assert found["radius_mm"].tolist() == pytest.approx(table["radius_mm"].tolist(), rel=1e-12)
+    assert found["length_mm"].tolist() == pytest.approx((table["length_mm"] / 100).tolist(), rel=1e-12)
+    assert found["taper_per_mm"][0] == pytest.approx(100 * table["taper_per_mm"][0], rel=1e-12)
+
+
 def test_elements_of_no_length() -> None:
     """Radii of segments without length count alike; there is no taper over no distance."""
     parent = np.array([-1, 0, 1, 2, 2])
