@@ -50,6 +50,15 @@ def test_elements_of_less_than_a_millimetre(table: pd.DataFrame) -> None:
     assert found["taper_per_mm"][0] == pytest.approx(100 * table["taper_per_mm"][0], rel=1e-12)
 
 
+def test_an_element_of_two_segments_tapers() -> None:
+    parent, z = np.array([-1, 0, 1, 1, 2, 2]), [0, 2.0, 6.0]
+    position = np.array([[0, 0, z[0]], [0, 0, z[1]], [0, 0, z[2]], [1, 0, 2], [1, 0, 6], [0, 1, 6.0]])
+    tree = Tree(Topology(parent), position, np.array([0, 2.0, 1.5, 0.4, 0.5, 0.6]))
+    table = orders.element_table(tree, strahler_order(tree.topology))
+    assert table["n_segments"].tolist() == [2, 1, 1, 1]
+    assert table["taper_per_mm"][0] == pytest.approx(0.25 / 3.0, rel=1e-15)  # a quarter over (2 + 4) / 2 mm
+
+
 def test_elements_of_no_length() -> None:
     """Radii of segments without length count alike; there is no taper over no distance."""
     parent = np.array([-1, 0, 1, 2, 2])
