@@ -34,7 +34,8 @@ def as_runs(mask: np.ndarray) -> runs.Runs:
 
 
 def as_mask(code: runs.Runs) -> np.ndarray:
-    return np.array(list(code.slabs()))
+    nz, ny, nx = code.shape
+    return runs.painted(code, np.zeros(3, dtype=np.int64), np.array([nx, ny, nz])).astype(bool)
 
 
 def step_lengths(spacing: np.ndarray) -> np.ndarray:
@@ -174,6 +175,16 @@ def test_descending_order_is_that_of_a_stable_sort(seed: int, n: int, different:
     if split:
         height[rng.random(n) < 0.1] = np.inf
     assert np.array_equal(_geodesic_kernels.descending(height), np.argsort(-height, kind="stable"))
+
+
+@settings(deadline=None, max_examples=30)
+@given(masks, st.sampled_from([1, 2, 4]))
+def test_painted_blocks_are_those_that_hold_a_voxel(mask: np.ndarray, block: int) -> None:
+    code, size = as_runs(mask), np.array(mask.shape[::-1])
+    found = runs.painted(code, np.zeros(3, dtype=np.int64), size, block)
+    padded = np.pad(mask, [(0, -n % block) for n in mask.shape])
+    nz, ny, nx = (n // block for n in padded.shape)
+    assert np.array_equal(found, padded.reshape(nz, block, ny, block, nx, block).any(axis=(1, 3, 5)))
 
 
 @settings(deadline=None, max_examples=30)

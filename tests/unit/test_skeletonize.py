@@ -197,6 +197,12 @@ def test_the_mask_is_the_cleaned_vessels_in_their_frame() -> None:
     assert int(mask.values.sum()) == int(case.volume.values.sum())
     index = np.rint(mask.to_index(skeleton.tree.position_mm)).astype(int)
     assert (mask.values[tuple(index.T[::-1])] == 1).mean() > 0.95
+    coarse = skeleton.mask(most_voxels=mask.values.size // 9)
+    assert coarse.meta["block"] == 4
+    assert coarse.values.size < mask.values.size / 40
+    # a block is set where any of its voxels is: no vessel is lost, and every point lies in one
+    index = np.rint(coarse.to_index(skeleton.tree.position_mm)).astype(int)
+    assert (coarse.values[tuple(index.T[::-1])] == 1).mean() > 0.95
 
 
 def test_the_same_volume_gives_the_same_tree() -> None:

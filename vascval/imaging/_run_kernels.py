@@ -162,6 +162,15 @@ def crop_runs(row_offset, start, stop, label, wanted, ny, low, high):
 
 
 @njit
+def paint(row_offset, start, stop, ny, low, block, image):
+    """Set the blocks of ``image`` (z, y, x), whose first voxel is at ``low`` (x, y, z), that the runs touch."""
+    for row in range(row_offset.size - 1):
+        y, z = (row % ny - low[1]) // block, (row // ny - low[2]) // block
+        for k in range(row_offset[row], row_offset[row + 1]):
+            image[z, y, (start[k] - low[0]) // block : (stop[k] - 1 - low[0]) // block + 1] = 1
+
+
+@njit
 def background_runs(row_offset, start, stop, nx):
     """The runs of background: row offsets, starts and stops."""
     n_rows = row_offset.size - 1

@@ -6,7 +6,7 @@ labelling or filling touches runs instead of voxels.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,16 +31,13 @@ class Runs:
     def n_voxels(self) -> int:
         return int((self.stop.astype(np.int64) - self.start).sum())
 
-    def slabs(self, begin: int = 0, end: int | None = None) -> Iterator[np.ndarray]:
-        """The mask again, one boolean (ny, nx) slab after another, of the slices ``begin`` to ``end``."""
-        nz, ny, nx = self.shape
-        for z in range(begin, nz if end is None else end):
-            slab = np.zeros((ny, nx), dtype=bool)
-            for y in range(ny):
-                row = z * ny + y
-                for k in range(self.row_offset[row], self.row_offset[row + 1]):
-                    slab[y, self.start[k] : self.stop[k]] = True
-            yield slab
+
+def painted(runs: Runs, low: np.ndarray, high: np.ndarray, block: int = 1) -> np.ndarray:
+    """The box from ``low`` to before ``high`` (x, y, z) as an image, uint8 (z, y, x), of blocks of ``block`` voxels
+    along each axis: 1 where any voxel of the block is set. All runs must lie in the box."""
+    image = np.zeros(-(-(high - low) // block)[::-1], dtype=np.uint8)
+    kernels.paint(runs.row_offset, runs.start, runs.stop, runs.shape[1], low, block, image)
+    return image
 
 
 Watch = Callable[[int, int, int], None]

@@ -28,6 +28,7 @@ from vascval.io.scans import Scan
 from vascval.io.volumes import Volume
 
 Observer = Callable[[str, float, float], None]
+MOST_MASK_VOXELS = 2**27
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +49,24 @@ class Skeleton:
     _runs: Runs
     _frame: Volume
 
-    def mask(self) -> Volume:
-        """The cleaned vessels as an image (uint8), cropped to them with a margin of one voxel where there is room."""
-        nz, ny, nx = self._runs.shape
-        rows = np.flatnonzero(np.diff(self._runs.row_offset))
-        low = np.array([self._runs.start.min(), (rows % ny).min(), (rows // ny).min()])
-        high = np.array([self._runs.stop.max(), (rows % ny).max() + 1, (rows // ny).max() + 1])
+    def mask(self, *, most_voxels: int = MOST_MASK_VOXELS) -> Volume:
+        """The cleaned vessels as an image (uint8), cropped to them with a margin of one voxel where there is room.
+
+        Where that has more than ``most_voxels``, in blocks of 2, 4, 8, ... voxels along each axis, a block being vessel
+        when any of its voxels is; ``meta["block"]`` says how many.
+        """
+        runs, frame = self._runs, self._frame
+        nz, ny, nx = runs.shape
+        rows = np.flatnonzero(np.diff(runs.row_offset))
+        low = np.array([runs.start.min(), (rows % ny).min(), (rows // ny).min()])
+        high = np.array([runs.stop.max(), (rows % ny).max() + 1, (rows // ny).max() + 1])
         low, high = np.maximum(low - 1, 0), np.minimum(high + 1, [nx, ny, nz])
-        crop = np.zeros((high - low)[::-1], dtype=np.uint8)
-        for z, slab in enumerate(self._runs.slabs(int(low[2]), int(high[2]))):
-            crop[z] = slab[low[1] : high[1], low[0] : high[0]]
-        frame = self._frame
-        return Volume(crop, frame.spacing_mm, frame.to_world(low), frame.direction)
+        block = 1
+        while np.prod(-(-(high - low) // block)) > most_voxels:
+            block *= 2
+        values = run_code.painted(runs, low, high, block)
+        origin = frame.to_world(low + (block - 1) / 2)
+        return Volume(values, frame.spacing_mm * block, origin, frame.direction, {"block": block})
 
 
 def skeletonize(

@@ -100,7 +100,8 @@ def mask_surface(volume: Any, *, max_triangles: int = MAX_TRIANGLES) -> Surface 
     index_zyx = (corners - 1.0) * block + (block - 1) / 2.0 + low
     mesh = PolyData.from_regular_faces(volume.to_world(index_zyx[:, ::-1].astype("float64")), triangles)
     mesh = mesh.smooth_taubin(n_iter=20, pass_band=0.1)
-    note = f"every {block} voxels" if block > 1 else "at full resolution"
+    every = block * volume.meta.get("block", 1)
+    note = f"every {every} voxels" if every > 1 else "at full resolution"
     if mesh.n_cells > max_triangles:
         note += f", simplified from {count(mesh.n_cells)} to about {count(max_triangles)} triangles"
         mesh = mesh.decimate(1.0 - max_triangles / mesh.n_cells)
