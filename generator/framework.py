@@ -22,6 +22,7 @@ from generator.kept import below, with_prefix
 from generator.topology.stage import TopologyStage
 from vascval.core.errors import InputError
 from vascval.core.tree import Tree
+from vascval.core.validation import Claims
 from vascval.io.trees import read_tree
 
 _STAGES = {"cco": ["growth"], "geometry": ["growth", "geometry"], "full": ["growth", "topology", "geometry"]}
@@ -178,6 +179,14 @@ class Run:
     def tree(self) -> Tree:
         """The tree as it is now, perfused."""
         return self._optimised or self.growth.tree()
+
+    def claims(self, tree: Tree) -> Claims:
+        """What the tree of this run holds: Murray's law where radii were free and the exponent is one, and one
+        pressure at all terminals."""
+        given = {position.tobytes() for position in self.growth.root_tree.position_mm}
+        from_root_tree = np.array([position.tobytes() in given for position in tree.position_mm])
+        one_gamma = not (self.config.method != "cco" and self.config.geometry.gamma_by_generation)
+        return Claims(self.config.gamma if one_gamma else None, equal_pressure=True, given=from_root_tree)
 
     def inputs(self) -> list[Path]:
         """The files that decide the tree."""

@@ -18,6 +18,7 @@ from generator.framework import Run, read_points
 from vascval.core.errors import InputError, VascvalError
 from vascval.core.threads import VARIABLE
 from vascval.core.tree import Tree
+from vascval.core.validation import Claims
 from vascval.io.provenance import provenance
 from vascval.io.trees import write_tree
 
@@ -74,7 +75,7 @@ def make(order: Order, folder: str, measure: Measure, report: Report) -> Grown |
             ],
             "provenance": origin,
         }
-        return Grown(_file(tree, origin), document, worker, time.perf_counter() - began)
+        return Grown(_file(tree, origin, run.claims(tree)), document, worker, time.perf_counter() - began)
     except VascvalError as error:
         return Failed(str(error))
 
@@ -139,8 +140,8 @@ def _drive(run: Run, name: str, report: Report) -> None:
             report({"name": name, "share": min(sum(done.values()) / _STAGES[run.config.method], 1.0)})
 
 
-def _file(tree: Tree, origin: dict[str, Any]) -> bytes:
+def _file(tree: Tree, origin: dict[str, Any], claims: Claims) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "tree.vtp"
-        write_tree(tree, path, provenance=origin)
+        write_tree(tree, path, provenance=origin, claims=claims)
         return path.read_bytes()

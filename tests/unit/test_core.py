@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from vascval.core.contraction import contract_degenerate, degenerate_segments
-from vascval.core.errors import InputError
+from vascval.core.errors import ComputationError, InputError
 from vascval.core.ordering import (
     depth,
     diameter_defined_order,
@@ -13,7 +15,7 @@ from vascval.core.ordering import (
     strahler_order,
 )
 from vascval.core.tree import Topology, Tree
-from vascval.core.validation import findings
+from vascval.core.validation import Claims, checks, findings, require_made_well
 
 
 def test_children_with_orders_2_2_1_make_order_3() -> None:
@@ -101,3 +103,63 @@ def test_validation_names_the_offending_ids() -> None:
     )
     rules = {finding.rule: finding.ids for finding in findings(tree)}
     assert rules == {"zero-radius": (4,), "zero-length": (3,), "single-child": (1,), "flow-balance": (2,)}
+
+
+def perfused() -> Tree:
+    """Two terminals below a stem: Murray's law with exponent 3, flow and pressure by hand."""
+    radius = np.array([0, 2.0 ** (1 / 3), 1, 1])
+    columns = {
+        "flow_mm3_s": np.array([2.0, 2, 1, 1]),
+        "pressure_pa": np.array([10.0, 8, 5, 5]),
+        "pressure_drop_pa": np.array([0.0, 2, 3, 3]),
+    }
+    position = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 2], [-1, 0, 2]], dtype=float)
+    return Tree(Topology(np.array([-1, 0, 1, 1])), position, radius, columns)
+
+
+CLAIMS = Claims(gamma=3.0, equal_pressure=True)
+
+
+def test_all_checks_of_a_sound_tree_hold_and_have_figures() -> None:
+    found = {check.rule: check for check in checks(perfused(), CLAIMS)}
+    assert all(check.holds for check in found.values())
+    sized = {"flow-balance": 1, "pressure-drop": 3, "terminal-pressure": 2, "murray": 1}
+    assert {rule: check.n_checked for rule, check in found.items() if check.worst is not None} == sized
+    assert all(found[rule].worst < 1e-15 for rule in sized)  # one rounding of the cube root
+    require_made_well(perfused(), CLAIMS)
+
+
+@pytest.mark.parametrize(
+    ("column", "node", "value", "rules"),
+    [
+        ("flow_mm3_s", 2, 1.001, {"flow-balance"}),
+        ("flow_mm3_s", 2, np.nan, {"flow-balance"}),
+        ("pressure_pa", 2, 5.01, {"pressure-drop", "terminal-pressure"}),
+        ("pressure_pa", 3, 9.0, {"pressure-drop", "terminal-pressure", "pressure-rise"}),
+        ("pressure_pa", 2, np.nan, {"pressure-drop", "terminal-pressure", "pressure-rise"}),
+        ("pressure_drop_pa", 3, 3.1, {"pressure-drop"}),
+        ("pressure_drop_pa", 3, np.nan, {"pressure-drop"}),
+        ("radius_mm", 3, 1.001, {"murray"}),
+    ],
+)
+def test_each_physical_check_can_fail(column: str, node: int, value: float, rules: set[str]) -> None:
+    tree = perfused()
+    if column == "radius_mm":
+        radius = tree.radius_mm.copy()
+        radius[node] = value
+        tree = replace(tree, radius_mm=radius)
+    else:
+        values = tree.columns[column].copy()
+        values[node] = value
+        tree = tree.with_columns(**{column: values})
+    assert {finding.rule for finding in findings(tree, CLAIMS)} == rules
+    with pytest.raises(ComputationError, match="the tree that was made is not valid and not written"):
+        require_made_well(tree, CLAIMS)
+
+
+def test_a_given_junction_is_free_of_murrays_law() -> None:
+    radius = np.array([0, 3.0, 1, 1])
+    tree = replace(perfused(), radius_mm=radius)
+    assert [finding.rule for finding in findings(tree, CLAIMS)] == ["murray"]
+    given = np.array([True, True, False, False])
+    assert findings(tree, Claims(gamma=3.0, given=given)) == []

@@ -27,7 +27,7 @@ HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"' $x^2$ _\n.vt
 ORIGIN = {"version": "1.2.3", "command": "compare", "config": {"label": None, "spacing_mm": [1.0, 1.0, 1.0]}, "seed": 7,
           "inputs": [{"name": "cast.nrrd", "sha256": "ab" * 32, "bytes": 1234}]}
 SECTIONS = ["summary", "key-statistics", "overlay", "generations", "orders", "horton", "organs", "junctions", "image",
-            "notes", "provenance", "definitions"]
+            "checks", "notes", "provenance", "definitions"]
 COMPARED = ["distributions", "location", "territories"]
 VOID = {"meta", "img", "input", "br", "hr", "link", "wbr"}
 

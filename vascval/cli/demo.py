@@ -59,7 +59,7 @@ def demo(directory: Path, json_file: str | None) -> None:
     from vascval.imaging.rasterize import rasterize
     from vascval.io.atomic import atomic_directory
     from vascval.io.provenance import provenance
-    from vascval.io.trees import write_vtp
+    from vascval.io.trees import write_tree
     from vascval.io.volumes import write_volume
 
     config = {"box_mm": BOX_MM, "root_mm": ROOT_MM, "n_terminals": N_TERMINALS, "voxel_mm": VOXEL_MM}
@@ -67,7 +67,7 @@ def demo(directory: Path, json_file: str | None) -> None:
         cast, tree = work / "cast.nrrd", work / "tree.vtp"
         write_volume(rasterize(_grown(CAST_SEED, observer), voxel_mm=VOXEL_MM), cast)
         origin = provenance(command="demo", config=config, seed=TREE_SEED, inputs=[])
-        write_vtp(_grown(TREE_SEED, observer), tree, provenance=origin)
+        write_tree(_grown(TREE_SEED, observer), tree, provenance=origin)
         against = sources.measure(cast, cast.name, Selection(), None, observer)
         other = sources.measure(tree, tree.name, Selection(), None, observer)
         comparison = compare(against.analysis, [other.analysis], observer=observer)

@@ -115,7 +115,7 @@ def _write(run: Run, output: Path, origin: Mapping[str, Any], json_file: str | N
     from vascval.io.trees import write_tree
 
     tree = run.tree()
-    write_tree(tree, output, provenance=origin)
+    write_tree(tree, output, provenance=origin, claims=run.claims(tree))
     document = _document(run, tree)
     if json_file != "-":
         say(table([["", "value"], *([name, _shown(document[name])] for name in _SHOWN)]))

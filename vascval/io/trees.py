@@ -8,6 +8,7 @@ from typing import Any
 
 from vascval.core.errors import InputError, printable
 from vascval.core.tree import Tree
+from vascval.core.validation import Claims, require_made_well
 from vascval.io import xml_guard
 from vascval.io.assembly import Keep, assemble
 from vascval.io.foreign import sketch_of
@@ -88,13 +89,18 @@ def _root_element(path: Path) -> str:
     return names[0]
 
 
-def write_tree(tree: Tree, path: Path | str, provenance: Mapping[str, Any] | None = None) -> None:
-    """The tree as VTP or SWC by the suffix (see :func:`write_vtp`, :func:`write_swc`).
+def write_tree(
+    tree: Tree, path: Path | str, provenance: Mapping[str, Any] | None = None, *, claims: Claims | None = None
+) -> None:
+    """A tree that was made here, as VTP or SWC by the suffix (see :func:`write_vtp`, :func:`write_swc`).
 
+    :param claims: what it is said to hold besides what every tree should.
     :raises InputError: for another suffix or a place that cannot be written.
+    :raises ComputationError: when the tree breaks a rule or a claim; nothing is written.
     """
     writers = {".vtp": write_vtp, ".swc": write_swc}
     writer = writers.get(Path(path).suffix.lower())
     if writer is None:
         raise InputError(f"{path}: trees are written as .vtp or .swc; choose one of these")
+    require_made_well(tree, claims)
     writer(tree, path, provenance)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from vascval.report import (
+    check_section,
     comparison_sections,
     order_sections,
     organ_section,
@@ -64,6 +65,7 @@ def sections(subject: Subject, figures: Path) -> list[Section]:
     return [
         *found,
         origin_sections.image(subject),
+        check_section.section(subject),
         origin_sections.notes(subject),
         origin_sections.provenance(subject),
         origin_sections.definitions(subject),
