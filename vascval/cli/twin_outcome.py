@@ -38,7 +38,7 @@ class Outcome:
         """Trees and report into ``folder``, which holds the perfusion volume already; the document of the result."""
         from vascval.comparison import compare
         from vascval.io.provenance import provenance
-        from vascval.io.trees import write_vtp
+        from vascval.io.trees import write_tree, write_vtp
         from vascval.report import write_compare_report
         from vascval.report.twin_section import Twin
 
@@ -50,7 +50,8 @@ class Outcome:
             own = provenance(
                 command="twin", config=_recorded(run.config), seed=config.seed, inputs=[*self.inputs, *run.inputs()]
             )
-            write_vtp(run.tree(), folder / f"{name}.vtp", provenance=own)
+            tree = run.tree()
+            write_tree(tree, folder / f"{name}.vtp", provenance=own, claims=run.claims(tree))
         comparison = compare(self.cast, self.trees, observer=observer)
         facts = self.facts()
         twin = Twin(facts, self.ground.surface)
