@@ -18,6 +18,7 @@ from reports.common import claims
 from reports.common.figures import style
 from reports.common.pages import Skipped, headline, write_page
 from reports.common.trees import machine
+from reports.tour import make as tour
 from vascval.report.formats import measure
 
 HERE = Path(__file__).resolve().parent
@@ -59,6 +60,8 @@ def make(studies: Sequence[str], output: Path, *, small: bool) -> int:
     write_index(output)
     if output == HERE and not small:
         claims.rewrite_readme()
+        if len(studies) == len(STUDIES):
+            tour.main()
     print(f"{output / 'README.md'} ({time.process_time() - began:.0f} s of processor time in all)")
     return int(left == len(studies))
 

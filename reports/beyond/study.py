@@ -14,9 +14,10 @@ from reports.common.trees import Made, likeness, made, measured
 from vascval.report.plots import plain_log, whole_ticks
 
 TITLE = "Beyond the paper's model"
-FULL = {"n_terminals": 2000, "seeds": (1, 2, 3)}
+FULL = {"n_terminals": 1000, "seeds": (1, 2)}
 SMALL = {"n_terminals": 60, "seeds": (1,)}
 PRESETS = ("karch-box", "portal-vein")
+ONCE = {"method": "geometry", "geometry__during_growth": False}
 EXPONENTS = (2.55, 2.6, 2.7, 2.8, 2.9, 3.0)
 """From the stem, where pulsatile flow asks for 2.55 (section 2.1), to the thin vessels, where Murray's 3 holds."""
 CASES: dict[str, Mapping[str, object]] = {
@@ -38,8 +39,8 @@ def study(folder: Path, n_terminals: int, seeds: Sequence[int]) -> Page:
     first: dict[tuple[str, str], Made] = {}
     for preset in PRESETS:
         for case, changes in CASES.items():
-            trees = [made(preset, n_terminals=n_terminals, seed=seed, method="geometry", **changes) for seed in seeds]
-            usual = [made(preset, n_terminals=n_terminals, seed=seed, method="geometry") for seed in seeds]
+            trees = [made(preset, n_terminals=n_terminals, seed=seed, **ONCE, **changes) for seed in seeds]
+            usual = [made(preset, n_terminals=n_terminals, seed=seed, **ONCE) for seed in seeds]
             first[preset, case] = trees[0]
             rows.append((preset, case, *np.mean([figures(*pair) for pair in zip(trees, usual)], axis=0)))
     names = ["volume_mm3", "root_radius_mm", "terminal_radius_mean_mm", "trifurcations", "branching_ratio_mean"]
@@ -63,7 +64,7 @@ def study(folder: Path, n_terminals: int, seeds: Sequence[int]) -> Page:
     )
     text = f"""
 Three extensions that the paper's outlook names, each alone, on trees of {n_terminals:,} terminals with the geometry
-optimised while growing, mean of {len(seeds)} seeds, against the same seeds under the paper's model:
+optimised once at the end, mean of {len(seeds)} seeds, against the same seeds under the paper's model:
 
 * `viscosity=fahraeus-lindqvist`: formula (2) of the paper instead of 3.6 cP;
 * `geometry.objective=volume+power`: the power that moves the blood is paid for too, and the pressure at the root is

@@ -55,9 +55,9 @@ over generations 2 to 6, and both become more symmetric towards the last.
 
 {table(rows)}
 
-The sizes of the steps in the paper's figure are not available as numbers. Where our grown trees are more asymmetric
-to begin with, there is less to gain: they connect a terminal where the volume of the whole tree is least, which
-sends thin vessels straight to thick ones.
+The sizes of the steps in the paper's figure are not available as numbers. A reason for smaller
+steps here may be that our grown trees are more asymmetric to begin with: they connect a terminal where the volume of
+the whole tree is least, which sends thin vessels straight to thick ones.
 """
     said = "lower over generations 2 to 6 (in words)"
     return Page(

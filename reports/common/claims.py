@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import pandas as pd
-
 from reports.common.pages import headline
 
 REPORTS = Path(__file__).resolve().parents[1]
@@ -34,12 +32,3 @@ def rewrite_readme() -> None:
     text = README.read_text(encoding="utf-8")
     pattern = re.compile(re.escape(BEGIN) + ".*?" + re.escape(END), re.DOTALL)
     README.write_text(pattern.sub(lambda _: block(), text), encoding="utf-8")
-
-
-def number(study: str, column: str, **where: object) -> float:
-    """One value of a study's table, by the values of other columns."""
-    rows = pd.read_csv(REPORTS / study / "table.csv")
-    for name, value in where.items():
-        rows = rows[rows[name] == value]
-    (value,) = rows[column]
-    return float(value)

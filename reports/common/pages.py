@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from vascval.report.formats import measure, missing
+from vascval.report.formats import THIN, measure, missing
 
 HEADLINE = "> "
 _REPORTS = Path(__file__).resolve().parents[1]
@@ -112,7 +112,13 @@ def _cell(value: Any, digits: int) -> str:
         return value
     if missing(value):
         return ""
-    return f"{value:,}" if isinstance(value, int) or float(value).is_integer() else measure(value, digits)
+    return f"{value:,.0f}" if float(value).is_integer() else _number(value, digits)
+
+
+def _number(value: float, digits: int) -> str:
+    """With commas between thousands, as whole numbers have them here."""
+    text = measure(value, digits)
+    return text if "\N{MULTIPLICATION SIGN}" in text else text.replace(THIN, ",")
 
 
 def _value(value: float | str | None, unit: str) -> str:
@@ -120,5 +126,5 @@ def _value(value: float | str | None, unit: str) -> str:
         return ""
     if isinstance(value, str):
         return value
-    text = f"{value:,.0f}" if float(value).is_integer() else measure(value)
+    text = f"{value:,.0f}" if float(value).is_integer() else _number(value, 3)
     return f"{text} {'%' if unit == 'percent' else unit}".strip()

@@ -19,7 +19,7 @@ from vascval.report.view import can_render, tube_meshes
 
 RADII_MM = (0.03, 6.0)
 """The scale of colours in every figure: from the thinnest terminals to the stem of a portal vein."""
-_PIXELS_PER_INCH = 260
+_PIXELS_PER_INCH = 220
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ def write_views(
     whole = viewpoint(*bounds_mm(None, [layer.tubes for layer in every]))
     height_in = width_in * whole.half_height_mm / whole.half_width_mm + 0.45
     figure, axes = panels(columns, -(-len(views) // columns), width_in=width_in, height_in=height_in)
-    figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03, hspace=0.0, wspace=0.02)
+    figure.get_layout_engine().set(w_pad=0.04, h_pad=0.07, hspace=0.0, wspace=0.02)
     if any(layer.colour is None for layer in every):
         figure.set_figwidth(figure.get_figwidth() + 0.8)
     for view, place in zip(views, axes):

@@ -53,7 +53,8 @@ left, and junctions are split again where that lowers the volume. Means over the
 {table(means.reset_index())}
 
 By seed the reduction goes from {by_seed.min():.1f} to {by_seed.max():.1f} %, the number of trifurcations from
-{counts.min():,} to {counts.max():,}: the paper's tree is one of them. The counts after repeated contraction are
+{counts.min():,} to {counts.max():,}, so that the paper's single tree differs from ours as ours do among themselves or
+little more: its terminals and their order of insertion are not published. The counts after repeated contraction are
 higher since a contraction changes the lengths and radii around it, which makes further segments short; splitting,
 which undoes those that do not pay, {gain(more)} than the programme alone.
 """

@@ -1,4 +1,4 @@
-"""Makes the pictures of the README's tour with the commands it shows: ``python reports/tour/make.py``."""
+"""Makes the pictures of the README's tour with the commands it shows: ``python -m reports.tour.make``."""
 
 from __future__ import annotations
 

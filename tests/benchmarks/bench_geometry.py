@@ -1,15 +1,13 @@
-"""Geometry: reduction of the volume, time, agreement of the two solvers, and the sensitivity studies of the paper.
+"""Geometry: reduction of the volume, time, and agreement of the two solvers.
 
-``python -m tests.benchmarks.bench_geometry [after_cco|solvers|scaling|sensitivity|branching|domains ...]`` prints
-tables; without arguments all but the largest of ``scaling``. Times are CPU seconds of one process.
+``python -m tests.benchmarks.bench_geometry [after_cco|solvers|scaling|domains ...]`` prints tables, all of them without
+arguments. Times are CPU seconds of one process. The paper's own studies are in ``reports``.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-
-import numpy as np
 
 from generator.config import load
 from generator.domain import Domain
@@ -21,8 +19,6 @@ from generator.geometry.problem import Problem, Solution
 from generator.geometry.reduced import evaluate, solve_reduced
 from tests.benchmarks.tables import main, table
 from vascval.core.errors import ComputationError
-from vascval.core.ordering import generation
-from vascval.core.tree import Tree
 
 COLUMNS = Sequence[str]
 
@@ -98,50 +94,6 @@ def scaling(counts: Sequence[int] = (1000, 6000, 24_000, 100_000)) -> str:
     return table(["terminals", "less volume %", "steps", "s", "us per step and terminal"], rows)
 
 
-def sensitivity(
-    n: int = 1000,
-    intervals: Sequence[int] = (1000, 500, 200, 100, 50, 20, 10, 5),
-    seeds: Sequence[int] = (1, 2, 3, 4, 5),
-) -> str:
-    """Final volume against how often the geometry is optimised during growth (the paper's study)."""
-    cco = np.mean([made(n, seed=seed).tree().volume_mm3 for seed in seeds])
-    rows = [["growth alone", "0", f"{cco:.1f}", "", ""]]
-    for every in intervals:
-        began = time.process_time()
-        runs = [made(n, "method=geometry", f"geometry.every={every}", seed=seed) for seed in seeds]
-        seconds = (time.process_time() - began) / len(seeds)
-        volume = np.mean([run.tree().volume_mm3 for run in runs])
-        solves = str(runs[0].stages[1].solves)
-        rows.append([str(every), solves, f"{volume:.1f}", f"{100 * (1 - volume / cco):.2f}", f"{seconds:.2f}"])
-    return table(["terminals between two", "optimisations", "mean mm^3", "less %", "s"], rows)
-
-
-def ratios(tree: Tree) -> dict[int, float]:
-    """Mean over the nodes at the end of segments of each generation: smallest over largest radius of the branches."""
-    rank, found = generation(tree.topology), {}
-    thinnest, thickest = np.full(tree.n_nodes, np.inf), np.zeros(tree.n_nodes)
-    np.minimum.at(thinnest, tree.parent[1:], tree.radius_mm[1:])
-    np.maximum.at(thickest, tree.parent[1:], tree.radius_mm[1:])
-    inner = tree.topology.n_children > 1
-    for k in range(1, int(rank.max()) + 1):
-        nodes = inner & (rank == k)
-        if nodes.any():
-            found[k] = float((thinnest[nodes] / thickest[nodes]).mean())
-    return found
-
-
-def branching(n: int = 6000, seeds: Sequence[int] = (1, 2, 3, 4, 5), *changes: str) -> str:
-    """Branching ratio per generation, CCO against optimised (mean of trees with seven generations or more)."""
-    kinds = {"CCO": "method=cco", "optimised after growth": "geometry.during_growth=false", "and during growth": ""}
-    rows = []
-    for kind, change in kinds.items():
-        more = [change] if change.startswith("method") else ["method=geometry", *filter(None, [change])]
-        means = [ratios(made(n, *more, *changes, seed=seed).tree()) for seed in seeds]
-        columns = [[mean[k] for mean in means if k in mean] for k in range(1, 8)]
-        rows.append([kind, *(f"{np.mean(column):.3f}" if column else "" for column in columns)])
-    return table(["branching ratio in generation", *map(str, range(1, 8))], rows)
-
-
 def domains(counts: Sequence[int] = (500, 2000)) -> str:
     """What staying inside, and apart, costs: the optimum with it against the optimum without."""
     cases = {
@@ -170,7 +122,7 @@ def domains(counts: Sequence[int] = (500, 2000)) -> str:
 
 
 TABLES: dict[str, Callable[..., str]] = {
-    function.__name__: function for function in (after_cco, solvers, scaling, sensitivity, branching, domains)
+    function.__name__: function for function in (after_cco, solvers, scaling, domains)
 }
 
 

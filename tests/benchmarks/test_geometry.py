@@ -11,8 +11,6 @@ from tests.benchmarks import bench_geometry
         ("after_cco", {"counts": (40,), "seeds": (1, 2)}, 2),
         ("solvers", {"counts": (40,), "seeds": (1,)}, 1),
         ("scaling", {"counts": (40, 80)}, 2),
-        ("sensitivity", {"n": 60, "intervals": (30, 20), "seeds": (1,)}, 3),
-        ("branching", {"n": 60, "seeds": (1,)}, 3),
         ("domains", {"counts": (40,)}, 3),
     ],
 )
