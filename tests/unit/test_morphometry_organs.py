@@ -6,7 +6,7 @@ import pytest
 
 from vascval.io.rows import OrganRow
 from vascval.morphometry.orders import horton_table
-from vascval.morphometry.organs import CAVEAT, organ_table, organs
+from vascval.morphometry.organs import CAVEAT, SOURCES, organ_table, organs
 from vascval.report import organ_section
 
 
@@ -26,6 +26,7 @@ def test_tables_are_whole():
     table = organs()
     assert table.groupby("organ")["order"].apply(lambda order: (np.diff(order) == 1).all()).all()
     assert set(table["ordering"]) == {"strahler", "diameter-defined"}
+    assert set(table["source"]) == set(SOURCES)
     assert table["order"].min() == 1 and table["radius_mm"].notna().all()
     for _, organ in table.groupby("organ"):  # orders are of diameters, and there is less of what is thicker
         assert (np.diff(organ["radius_mm"]) > 0).all()

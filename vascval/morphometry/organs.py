@@ -18,6 +18,13 @@ CAVEAT = (
     "The organs' tables are third-party transcriptions of published ones, not checked against the papers: they show "
     "what is plausible and are no pass mark."
 )
+SOURCES = {
+    "kassab1993": "Kassab et al. 1993, Am J Physiol 265:H350",
+    "nordsletten2006": "Nordsletten et al. 2006, Am J Physiol 291:H296",
+    "jiang1994": "Jiang et al. 1994, J Appl Physiol 76:882",
+    "huang1996": "Huang et al. 1996, J Appl Physiol 81:2123",
+}
+"""The publications by their key in the tables."""
 _COLUMNS = {"number": "n_elements", "radius": "radius_mm", "length": "length_mm"}
 
 

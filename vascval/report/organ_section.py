@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from vascval.morphometry import Analysis
-from vascval.morphometry.organs import CAVEAT
+from vascval.morphometry.organs import CAVEAT, SOURCES
 from vascval.report import panels
 from vascval.report.formats import NONE, measure, missing
 from vascval.report.page import Cell, Items, Section, Table, Text
@@ -51,7 +51,11 @@ def _table(rows: pd.DataFrame) -> Table:
     body = []
     for (organ, source, ordering), mine in rows.groupby(["organ", "source", "ordering"], sort=False):
         ratio = mine.set_index("quantity")["ratio"]
-        label = [Cell(str(organ), "head"), Cell(str(source), "text"), Cell(panels.ORDERINGS[str(ordering)], "text")]
+        label = [
+            Cell(str(organ), "head"),
+            Cell(SOURCES[str(source)], "text"),
+            Cell(panels.ORDERINGS[str(ordering)], "text"),
+        ]
         body.append([*label, *(Cell(measure(ratio[quantity])) for quantity in _QUANTITIES)])
     return Table("Horton ratios of the elements of real trees.", [head], body, "tables/organs.csv")
 
