@@ -14,7 +14,7 @@ from reports.common.trees import Made, likeness, made, measured
 from vascval.report.plots import plain_log, whole_ticks
 
 TITLE = "Beyond the paper's model"
-FULL = {"n_terminals": 1000, "seeds": (1, 2)}
+FULL = {"n_terminals": 2000, "seeds": (1, 2, 3)}
 SMALL = {"n_terminals": 60, "seeds": (1,)}
 PRESETS = ("karch-box", "portal-vein")
 ONCE = {"method": "geometry", "geometry__during_growth": False}

@@ -63,6 +63,15 @@ def _smaller(match: re.Match[str]) -> str:
     return base64.b64encode(small.getvalue()).decode()
 
 
+def plain_counts(axis: Any) -> None:
+    """A symmetric logarithmic axis of counts, its ticks 0 and the powers of ten as plain numbers."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+    axis.set_major_locator(FixedLocator([0.0, *(10.0**k for k in range(7))]))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+    axis.set_minor_locator(NullLocator())
+
+
 def counted(axis: Any, values: Sequence[float]) -> None:
     """A logarithmic axis whose ticks are the values themselves."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator

@@ -11,6 +11,7 @@ import pandas as pd
 from reports.common.figures import INK, LOOKS, PALE, panels, save
 from reports.common.pages import Compared, Facts, Page, table, write_csv
 from reports.common.trees import machine, made
+from vascval.report.plots import plain_log
 
 TITLE = "Computing times"
 FULL = {"sizes": {"karch-box": (500, 6000), "portal-vein": (24_000,)}, "topology": {}}
@@ -66,7 +67,7 @@ the whole tree. One programme at {n:,} terminals takes {one:.2f} s here, contrac
 
 def draw(folder: Path, frame: pd.DataFrame) -> None:
     cases = list(frame[["case", "terminals"]].drop_duplicates().itertuples(index=False))
-    figure, axes = panels(len(cases), width_in=2.9, height_in=3.0)
+    figure, axes = panels(len(cases), width_in=3.3, height_in=3.0)
     for place, (case, n) in zip(axes, cases):
         mine = frame[(frame["case"] == case) & (frame["terminals"] == n)]
         at = np.arange(len(mine))
@@ -86,5 +87,6 @@ def draw(folder: Path, frame: pd.DataFrame) -> None:
     for place in axes:
         place.set_ylim(low, 2 * frame["paper_s"].max())
         place.grid(False, axis="x")
-    axes[0].legend(loc="upper left")
+        plain_log(place.yaxis)
+    axes[-1].legend(loc="lower right")
     save(figure, folder)

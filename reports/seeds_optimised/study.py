@@ -15,7 +15,7 @@ from reports.common.tubes import Layer, View, write_views
 from reports.seeds.study import pairwise, reordered
 
 TITLE = "Three seeds before and after topology optimisation"
-FULL = {"n_terminals": 500, "seeds": (1, 2, 3), "tests": 100_000}
+FULL = {"n_terminals": 500, "seeds": (1, 2, 3), "tests": 300_000}
 SMALL = {"n_terminals": 40, "seeds": (1, 2, 3), "tests": 500}
 COLOURS = (GREEN, RED, PURPLE)
 

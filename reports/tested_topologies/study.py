@@ -14,7 +14,7 @@ from reports.common.trees import made
 from reports.seeds.study import reordered
 
 TITLE = "Volume of ten trees against tested topologies"
-FULL = {"n_terminals": 500, "tests": (1000, 3000, 10_000, 30_000, 100_000), "seeds": tuple(range(1, 11))}
+FULL = {"n_terminals": 500, "tests": (1000, 3000, 10_000, 30_000, 100_000, 300_000), "seeds": tuple(range(1, 11))}
 SMALL = {"n_terminals": 40, "tests": (100, 1000), "seeds": (1, 2, 3)}
 
 
@@ -59,7 +59,9 @@ The paper shows a box plot without numbers: the volume falls significantly and s
 It does not say how many tests its search had; of the {n_swaps:,.0f} possible swaps its filters leave
 {facts["swaps left after the filters at 500 terminals"]:,.0f} for each step. Here a test moves a subtree anywhere
 nearby or swaps two as in the paper, and is judged by the two paths to the root that it changes, which is why so
-many can be afforded. {free_terminals(n_terminals, seeds, search | {"topology__tests": tests[-1]})}
+many can be afforded.
+
+{free_terminals(n_terminals, seeds, search | {"topology__tests": tests[-1]})}
 """
     return Page(
         headline,
@@ -81,7 +83,7 @@ def free_terminals(n_terminals: int, seeds: Sequence[int], search: dict[str, obj
     volume = np.array(pairs)
     less = 1 - volume[:, 1] / volume[:, 0]
     return (
-        f"\nWhere each seed draws terminals of its own, volumes stay apart ({volume[:, 1].min():.0f} to "
+        f"Where each seed draws terminals of its own, volumes stay apart ({volume[:, 1].min():.0f} to "
         f"{volume[:, 1].max():.0f} mm³), and the tree "
         f"ends {100 * less.min():.1f} to {100 * less.max():.1f} % below growth ({len(pairs)} seeds)."
     )
