@@ -176,12 +176,12 @@ as `vascval compare` does. What it had to say about this cast:
 {table(rows)}
 
 "Matched" is the share of the cast's length within {tolerance:.1f} mm (or the local radius) of vessels of like
-generation; "by chance" what a cast laid at random would show; Dice compares the territories that the
-generations after the first perfuse. The paper judges by eye, on one cast of a whole organ, that places agree down to the fifth generation
-where the hepatic vein is not in the way. A CT in vivo shows {cast["n_terminals"]} terminals where a corrosion cast shows
-thousands; they end where the image does, not where the vessels do, so that terminals grown evenly into the liver lie
-elsewhere than the ends of the image, and trees of so few terminals have thick vessels in other places. Giving the first
-generations, or growing more terminals, shows how much of it is that.
+generation; "by chance" what a cast laid at random would show; Dice compares the territories that the generations
+after the first perfuse. The paper judges by eye, on one cast of a whole organ, that places agree down to the fifth
+generation where the hepatic vein is not in the way. A CT in vivo shows {cast["n_terminals"]} terminals where a
+corrosion cast shows thousands; they end where the image does, not where the vessels do, so that terminals grown
+evenly into the liver lie elsewhere than the ends of the image, and trees of so few terminals have thick vessels in
+other places. Giving the first generations, or growing more terminals, shows how much of it is that.
 
 The grown stem is {rows["stem_radius_to_cast"].iloc[1]:.2f} of the real radius. The preset spends the whole drop from 12
 to 8 mmHg on the vessels that are grown, whereas in a stem as wide as the real one, with all its vessels widened alike,
