@@ -214,7 +214,7 @@ def blocks(size: int, n_terminals: int, limit: int, folder: Path) -> str:
 def scaling(sizes: Sequence[tuple[Size, int]], limit: int, folder: Path, suffix: str) -> str:
     """Larger and larger casts drawn slab by slab: time, memory and agreement with the truth."""
     header = (
-        *("voxels", "Mvoxels", "vessel voxels", "terminals found / false", "elements per order (deviation)"),
+        *("voxels", "Mvoxels", "vessel voxels", "terminals found / false", "elements per order"),
         *("radius error", "CPU", "us / vessel voxel", "wall", "peak memory", "bytes / vessel voxel"),
     )
     rows = []
@@ -226,7 +226,10 @@ def scaling(sizes: Sequence[tuple[Size, int]], limit: int, folder: Path, suffix:
         _remove(path)
         record, points = made.record, score(made.tree, truth, 1.0, image=made.record["image"])
         n = record["image"]["n_voxels"]
-        elements = "equal" if points.elements_equal else f"within {points.elements_deviation:.2%}"
+        per_order = f"{points.elements_found} for {points.elements_true}"
+        elements = (
+            "equal" if points.elements_equal else f"{per_order}, {points.elements_total_deviation:.2%} off in all"
+        )
         rows.append(
             (
                 " x ".join(map(str, shape[::-1])),
