@@ -88,5 +88,6 @@ def draw(folder: Path, frame: pd.DataFrame) -> None:
         place.set_ylim(low, 2 * frame["paper_s"].max())
         place.grid(False, axis="x")
         plain_log(place.yaxis)
-    axes[-1].legend(loc="lower right")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower left", ncols=2)
     save(figure, folder)

@@ -70,7 +70,7 @@ follow them closely, as ours do:
 {table(moves)}
 
 So the absolute counts cannot be compared, only their change. As to trifurcations, our tree has {n_generations}
-generations where the paper speaks of up to 11, so that our first seven hold nearly all of it; summed up from the root
+generations where the paper speaks of up to 11, so that our first seven hold most of it; summed up from the root
 it has {running.iloc[max(reached - 1, 0)]:,} down to generation {max(reached, 1)} and
 {running.iloc[min(reached, n_generations - 1)]:,} down to generation {min(reached + 1, n_generations)}. The paper's rule
 counts segments shorter than their diameter too, but it does not say whether it was applied once or to the end, on
