@@ -234,7 +234,7 @@ def read_points(path: Path) -> np.ndarray:
         raise InputError(f"{path}: has no column {', '.join(missing)}; the columns x_mm,y_mm,z_mm are needed")
     try:
         points = frame[columns].to_numpy(dtype=np.float64)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:  # OverflowError: whole numbers of hundreds of digits
         raise InputError(f"{path}: holds text where numbers are needed ({error}); mend it") from error
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:

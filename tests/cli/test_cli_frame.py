@@ -18,7 +18,7 @@ from vascval.cli.main import cli, main
 from vascval.cli.options import Memory, Numbers, Threshold
 from vascval.core.errors import ComputationError, InputError
 
-COMMANDS = ["demo", "compare", "skeletonize", "analyze", "generate", "ensemble", "view", "schema"]
+COMMANDS = ["demo", "compare", "skeletonize", "analyze", "generate", "twin", "ensemble", "view", "schema"]
 VASCVAL = [sys.executable, "-m", "vascval.cli"]
 
 
@@ -126,7 +126,7 @@ def failing(monkeypatch, error: BaseException) -> int:
     ("error", "code", "message"),
     [
         (InputError("x.vtp: no tree; give another"), 2, "vascval: error: x.vtp: no tree; give another\n"),
-        (InputError("two\nlines"), 2, "vascval: error: two lines\n"),
+        (InputError("two\nlines"), 2, "vascval: error: two\\nlines\n"),
         (ComputationError("did not converge"), 1, "vascval: error: did not converge\n"),
         (MemoryError("Unable to allocate 9 TiB"), 1, "vascval: error: not enough memory (Unable to allocate 9 TiB); "),
         (PermissionError(errno.EACCES, "Permission denied", "o.vtp"), 2, "vascval: error: o.vtp: Permission denied; "),

@@ -13,6 +13,7 @@ import pytest
 
 from generator.config import DomainConfig, load
 from generator.domains import make_domain
+from generator.framework import read_points
 from tests.fuzz import seeds
 from vascval.core.errors import InputError, VascvalError, printable
 from vascval.io.documents import read_reference_table
@@ -119,6 +120,13 @@ def test_numbers_beyond_single_precision(tmp_path: Path) -> None:
     data = changed(seeds.vtk()[0], b"POINTS 4 double\n0 0 0", b"POINTS 4 float\n0 0 1e300")
     with pytest.raises(InputError, match="1 points are not finite"):
         read_tree(given(tmp_path, ".vtk", data))
+
+
+@pytest.mark.parametrize(("digits", "said"), [(400, "too large to convert"), (5000, "row 2 is not finite")])
+def test_whole_numbers_beyond_double_precision(tmp_path: Path, digits: int, said: str) -> None:
+    text = f"x_mm,y_mm,z_mm\n0,0,0\n{'1' * digits},2,3\n"
+    with pytest.raises(InputError, match=said):
+        read_points(given(tmp_path, ".csv", text.encode()))
 
 
 @pytest.mark.parametrize("text", [",\n", " ; \n,,\n", "# a\n,\n"])
