@@ -110,13 +110,16 @@ class TopologyConfig(_Model):
     at: int = Field(default=500, ge=1, description="terminals at which growth pauses for it")
     tests: int = Field(default=300_000, ge=1, description="topologies tried by each chain")
     chains: int = Field(default=2, ge=1, description="independent searches, of which the best counts")
-    heat: float = Field(default=1.0, gt=0.0, description="start temperature, in median rises of the cost by a move")
-    cooling: float = Field(default=60.0, ge=1.0, description="start over end temperature")
+    heat: float = Field(default=0.5, gt=0.0, description="start temperature, in median rises of the cost by a move")
+    cooling: float = Field(default=120.0, ge=1.0, description="start over end temperature")
+    lenience: float = Field(
+        default=0.7, ge=0.0, le=1.0, description="power of the terminals moved by which a move's temperature is higher"
+    )
     swaps: float = Field(default=0.2, ge=0.0, le=1.0, description="share of swaps among the moves")
 
     def options(self) -> AnnealingOptions:
         """What the search takes."""
-        return AnnealingOptions(self.tests, self.heat, self.cooling, self.swaps, self.chains)
+        return AnnealingOptions(self.tests, self.heat, self.cooling, self.lenience, self.swaps, self.chains)
 
 
 class Config(_Model):

@@ -55,6 +55,7 @@ class Run:
     settled: bool = False
     _until: int | None = None  # terminals at which growth pauses next; None: to be decided
     _searched: bool = False
+    _searching: dict[str, np.ndarray] | None = None  # a search to go on with
     _optimised: Tree | None = None
 
     @classmethod
@@ -90,7 +91,10 @@ class Run:
     def state(self) -> State:
         """Where the run stands, as copies."""
         record = {"stages": [asdict(stage) for stage in self.stages], "until": self._until, "searched": self._searched}
-        return State(record, with_prefix("growth", self.growth.state()))
+        arrays = with_prefix("growth", self.growth.state())
+        if self.topology.begun and not self._searched:
+            arrays |= with_prefix("topology", self.topology.state())
+        return State(record, arrays)
 
     def restore(self, state: State) -> None:
         """Take over what :meth:`state` gave; the seconds of the stages go on from there.
@@ -108,6 +112,7 @@ class Run:
         if not sound:
             raise InputError("says of other stages than the run has; begin the run anew")
         self.growth.restore(below("growth", state.arrays))
+        self._searching = below("topology", state.arrays) or None
         self.stages = stages
         for stage in stages:
             if stage.name == "geometry":
@@ -158,7 +163,7 @@ class Run:
         """The topology of the tree as it is now; what was found stays when the search is left off."""
         stage, began = self._stage("topology"), time.perf_counter()
         try:
-            for step in self.topology.search(*self.growth.snapshot()):
+            for step in self.topology.search(*self.growth.snapshot(), resume=self._searching):
                 now = time.perf_counter()
                 stage.seconds, stage.volume_mm3, began = stage.seconds + now - began, step.best_mm3, now
                 yield stage.name, Step(step.n_tests, step.n_target, step.best_mm3)

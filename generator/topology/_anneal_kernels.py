@@ -1,7 +1,8 @@
 """Tests of topologies one after the other, and the grid that proposes them.
 
-A test costs the two paths to the root that it changes. It is scored in two stages: with the moved bifurcation alone put
-right, and, if that comes within ``slack`` of being accepted, with the bifurcations around it put right too.
+A test is scored in stages, each for those that the one before leaves a chance: by an estimate to first order; exactly,
+along the two paths to the root that it changes, with the moved bifurcation put right; with the bifurcations around it
+put right too; and where a big subtree was moved, with a few steps for all bifurcations around both paths.
 """
 
 from typing import NamedTuple
@@ -9,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from generator._domain_kernels import segment_inside
+from generator.topology._estimate_kernels import estimate_graft, estimate_swap
 from generator.topology._move_kernels import graft, may_graft, may_swap, settle, swap
 from generator.topology._relax_kernels import relax, relax_near
 from generator.topology._state_kernels import begin, climb, descend, find_paths, long_enough, slope_at, sweep, undo
@@ -19,16 +21,20 @@ GRAFT, SWAP = 0, 1
 BIG = 6  # subtrees of so many terminals need room below and above to come to rest
 REACH = 2  # levels below the paths that get it
 ROUNDS = 4
+DOUBT, DOUBT_BY_SIZE = 0.25, 0.05  # how much an estimate may be above the cost, in rises
+HOPE = 0.15  # how much a stage may gain for each terminal moved, in rises
+UPWARDS, LEVELS = 0.2, 8  # share of proposals that begin further up, and by how much at most
 
 
 class Rules(NamedTuple):
-    """``swaps``: share of swaps among the moves proposed. A test goes on to its second stage within ``slack`` of being
-    accepted, one of a big subtree within ``far``, and then to its third, with lengths smoothed by ``eps`` mm."""
+    """``swaps``: share of swaps among the moves proposed; ``rise``: median rise of C by a move at the start; ``eps``:
+    smoothing of lengths (mm) in the third stage; ``lenience``: the temperature of a move of n terminals is
+    ``n**lenience`` times as high as that of a move of one."""
 
     swaps: float
-    slack: float
-    far: float
+    rise: float
     eps: float
+    lenience: float
 
 
 class Nearby(NamedTuple):
@@ -106,14 +112,26 @@ def pick_nearby(near, rng, x, y, z):
 
 @njit
 def propose(state, near, rng):
-    """A segment and another near a point of it; -1, -1: none was found."""
+    """A segment and another near a point of it; -1, -1: none was found.
+
+    Half of all segments are terminals: some proposals begin further up, and look as far as what hangs below is wide.
+    """
     s = state.n_fixed + int(rng.random() * (state.node.size - state.n_fixed))
+    if rng.random() < UPWARDS:
+        for _ in range(1 + int(rng.random() * LEVELS)):
+            if state.node[s].parent < state.n_fixed:
+                break
+            s = state.node[s].parent
     r = state.node[s]
     if r.parent < state.n_fixed:
         return -1, -1
     p = state.node[r.parent]
     along = rng.random()
-    t = pick_nearby(near, rng, r.x + along * (p.x - r.x), r.y + along * (p.y - r.y), r.z + along * (p.z - r.z))
+    reach = near.cell * (r.n ** (1.0 / 3.0) - 1.0)
+    x = r.x + along * (p.x - r.x) + reach * (2.0 * rng.random() - 1.0)
+    y = r.y + along * (p.y - r.y) + reach * (2.0 * rng.random() - 1.0)
+    z = r.z + along * (p.z - r.z) + reach * (2.0 * rng.random() - 1.0)
+    t = pick_nearby(near, rng, x, y, z)
     if t < 0 or t == s:
         return -1, -1
     return s, t
@@ -182,22 +200,25 @@ def stays_inside(state, space):
 
 
 @njit
-def attempt(state, near, rng, swaps):
-    """A topology that is near, its moved bifurcations put right.
-
-    Returns the kind of move, C, from where the paths begin, and the terminals moved; ``nan``: there was no move.
-    """
-    kind = SWAP if rng.random() < swaps else GRAFT
+def draw(state, near, rng, rules):
+    """A move to a topology that is near: its kind, the two segments, and the terminals moved, 0 if there is none."""
+    kind = SWAP if rng.random() < rules.swaps else GRAFT
     s, t = propose(state, near, rng)
     if s < 0 or not (may_swap(state, s, t) if kind == SWAP else may_graft(state, s, t)):
-        return kind, np.nan, -1, -1, 0
+        return kind, s, t, 0
     n = state.node[s].n
-    if kind == SWAP:
-        n = max(n, state.node[t].n)
-        low_a, low_b, cost = try_swap(state, s, t)
-    else:
-        low_a, low_b, cost = try_graft(state, s, t)
-    return kind, cost, low_a, low_b, n
+    return kind, s, t, max(n, state.node[t].n) if kind == SWAP else n
+
+
+@njit
+def estimate(state, kind, s, t):
+    return estimate_swap(state, s, t) if kind == SWAP else estimate_graft(state, s, t)
+
+
+@njit
+def make(state, kind, s, t):
+    """First stage: the move made and its bifurcations put right; where the paths begin, and C."""
+    return try_swap(state, s, t) if kind == SWAP else try_graft(state, s, t)
 
 
 @njit
@@ -210,30 +231,35 @@ def put_right(state, low_a, low_b):
 
 
 @njit
-def test(state, flat, space, near, rng, rules, bound):
+def test(state, flat, space, near, rng, rules, cost, above):
     """One test; its outcome, the kind of move and, if it was accepted, the new C."""
-    kind, cost, low_a, low_b, n = attempt(state, near, rng, rules.swaps)
-    if np.isnan(cost):
-        return NO_MOVE, kind, bound
-    if cost < bound + (rules.far if n >= BIG else rules.slack):
-        cost = put_right(state, low_a, low_b)
-        if n >= BIG and bound < cost < bound + rules.far:
-            cost = relax_near(state, flat, REACH, rules.eps, ROUNDS)
-        if cost <= bound and long_enough(state) and stays_inside(state, space):
+    kind, s, t, n = draw(state, near, rng, rules)
+    if n == 0:
+        return NO_MOVE, kind, cost
+    bound = cost + above * n**rules.lenience
+    if n < BIG and cost + estimate(state, kind, s, t) > bound + rules.rise * (DOUBT + DOUBT_BY_SIZE * n * n):
+        return REJECTED, kind, cost
+    low_a, low_b, found = make(state, kind, s, t)
+    hope = rules.rise * HOPE * n
+    if found < bound + hope:
+        found = put_right(state, low_a, low_b)
+        if n >= BIG and bound < found < bound + hope:
+            found = relax_near(state, flat, REACH, rules.eps, ROUNDS)
+        if found <= bound and long_enough(state) and stays_inside(state, space):
             descend(state)
-            return ACCEPTED, kind, cost
+            return ACCEPTED, kind, found
     undo(state)
-    return REJECTED, kind, bound
+    return REJECTED, kind, cost
 
 
 @njit
 def run(state, flat, space, near, rng, rules, n_tests, temperature, cost, tally):
     """``n_tests`` tests at one temperature; C, and in ``tally`` (2, 3) outcomes by kind of move."""
     for _ in range(n_tests):
-        bound = cost - temperature * np.log(1.0 - rng.random())
+        above = -temperature * np.log(1.0 - rng.random())
         outcome, kind, found = NO_MOVE, GRAFT, cost
         for _ in range(1000):
-            outcome, kind, found = test(state, flat, space, near, rng, rules, bound)
+            outcome, kind, found = test(state, flat, space, near, rng, rules, cost, above)
             if outcome != NO_MOVE:
                 break
         tally[kind, outcome] += 1
@@ -243,14 +269,15 @@ def run(state, flat, space, near, rng, rules, n_tests, temperature, cost, tally)
 
 
 @njit
-def sample(state, near, rng, swaps, cost, rise):
+def sample(state, near, rng, rules, cost, rise):
     """What moves from here would add to C, none of them made; how many of ``rise`` were filled."""
     count = 0
-    for _ in range(20 * rise.size):
+    for _ in range(2000 * rise.size):
         if count == rise.size:
             break
-        _, found, low_a, low_b, _ = attempt(state, near, rng, swaps)
-        if not np.isnan(found):
+        kind, s, t, n = draw(state, near, rng, rules)
+        if n > 0:
+            low_a, low_b, _ = make(state, kind, s, t)
             rise[count] = put_right(state, low_a, low_b) - cost
             count += 1
             undo(state)

@@ -8,7 +8,13 @@ from vascval.core.jit import njit
 
 @njit
 def fermat(a, b, c, wa, wb, wc):
-    """Weighted Fermat point of three nodes, and whether it falls on one of them.
+    """Weighted Fermat point of three nodes, and whether it falls on one of them."""
+    return fermat_of(a.x, a.y, a.z, b.x, b.y, b.z, c.x, c.y, c.z, wa, wb, wc)
+
+
+@njit
+def fermat_of(ax, ay, az, bx, by, bz, cx, cy, cz, wa, wb, wc):
+    """Weighted Fermat point of three points, and whether it falls on one of them.
 
     In the triangle whose sides are the weights, of angles ``theta``, the point has barycentric coordinates
     proportional to ``w_i d_jk / sin(alpha_i + theta_i)``, ``alpha`` being the angles of the triangle of nodes; a sine
@@ -17,31 +23,31 @@ def fermat(a, b, c, wa, wb, wc):
     product = (wa + wb + wc) * (wb + wc - wa) * (wa + wc - wb) * (wa + wb - wc)
     if product <= 0.0:
         if wa >= wb and wa >= wc:
-            return a.x, a.y, a.z, True
+            return ax, ay, az, True
         if wb >= wc:
-            return b.x, b.y, b.z, True
-        return c.x, c.y, c.z, True
-    ab = (a.x - b.x) ** 2 + (a.y - b.y) ** 2 + (a.z - b.z) ** 2
-    ac = (a.x - c.x) ** 2 + (a.y - c.y) ** 2 + (a.z - c.z) ** 2
-    bc = (b.x - c.x) ** 2 + (b.y - c.y) ** 2 + (b.z - c.z) ** 2
+            return bx, by, bz, True
+        return cx, cy, cz, True
+    ab = (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2
+    ac = (ax - cx) ** 2 + (ay - cy) ** 2 + (az - cz) ** 2
+    bc = (bx - cx) ** 2 + (by - cy) ** 2 + (bz - cz) ** 2
     area_w = np.sqrt(product)
     area = np.sqrt(max(4.0 * ab * ac - (ab + ac - bc) ** 2, 0.0))
     ka = (ab + ac - bc) * area_w + (wb * wb + wc * wc - wa * wa) * area
     kb = (ab + bc - ac) * area_w + (wa * wa + wc * wc - wb * wb) * area
     kc = (ac + bc - ab) * area_w + (wa * wa + wb * wb - wc * wc) * area
     if ka <= 0.0:
-        return a.x, a.y, a.z, True
+        return ax, ay, az, True
     if kb <= 0.0:
-        return b.x, b.y, b.z, True
+        return bx, by, bz, True
     if kc <= 0.0:
-        return c.x, c.y, c.z, True
+        return cx, cy, cz, True
     fa, fb, fc = kb * kc, ka * kc, ka * kb
     scale = 1.0 / (fa + fb + fc)
     fa, fb, fc = fa * scale, fb * scale, fc * scale
     return (
-        fa * a.x + fb * b.x + fc * c.x,
-        fa * a.y + fb * b.y + fc * c.y,
-        fa * a.z + fb * b.z + fc * c.z,
+        fa * ax + fb * bx + fc * cx,
+        fa * ay + fb * by + fc * cy,
+        fa * az + fb * bz + fc * cz,
         False,
     )
 

@@ -33,6 +33,7 @@ NODE = np.dtype(
         ("a", "f8"),  # S^(2/gamma), so that rho = n l + a^2
         ("base_v", "f8"),  # sum of t over the children by a, so that v = l + base_v
         ("d_rho", "f8"), ("d_v", "f8"),  # dC/drho, dC/dv as of the last sweep that came by
+        ("d_n", "f8"),  # dC by one terminal more below: sum of l dC/drho from here up
     ],
     align=True,
 )  # fmt: skip
@@ -93,6 +94,24 @@ def distance(a, b):
 
 
 @njit
+def branch_power(gamma, rho):
+    """``rho^(gamma/4)``, without a general power for the usual exponents."""
+    if gamma == 3.0:
+        root = np.sqrt(rho)
+        return root * np.sqrt(root)
+    return rho ** (0.25 * gamma)
+
+
+@njit
+def joined(gamma, s_sum):
+    """``S^(2/gamma)``, likewise."""
+    if gamma == 3.0:
+        root = np.cbrt(s_sum)
+        return root * root
+    return s_sum ** (2.0 / gamma)
+
+
+@njit
 def relength(state, i):
     """``rho`` and ``v`` of segment ``i`` from its ends and from what hangs below."""
     r = state.node[i]
@@ -101,7 +120,7 @@ def relength(state, i):
         r.length = max(r.length, TINY)
     r.rho = r.n * r.length + r.a * r.a
     r.v = r.length + r.base_v
-    r.q = r.rho ** (0.25 * state.gamma)
+    r.q = branch_power(state.gamma, r.rho)
     r.t = r.v * np.sqrt(r.rho)
 
 
@@ -112,11 +131,11 @@ def refresh(state, i):
     c, d = state.node[r.first], state.node[r.second]
     r.n = c.n + d.n
     r.s_sum = c.q + d.q
-    r.a = r.s_sum ** (2.0 / state.gamma)
+    r.a = joined(state.gamma, r.s_sum)
     r.base_v = (c.t + d.t) / r.a
     r.rho = r.n * r.length + r.a * r.a
     r.v = r.length + r.base_v
-    r.q = r.rho ** (0.25 * state.gamma)
+    r.q = branch_power(state.gamma, r.rho)
     r.t = r.v * np.sqrt(r.rho)
 
 
@@ -216,14 +235,22 @@ def child_slope(d_rho, d_v, s_sum, a, base_v, rho, v, q):
 
 
 @njit
+def set_slopes(state, i):
+    """``d_rho``, ``d_v`` and ``d_n`` of segment ``i`` from those of the segment that feeds it."""
+    r = state.node[i]
+    r.d_rho, r.d_v = slope_at(state, i)
+    r.d_n = r.length * r.d_rho
+    if r.parent >= state.n_fixed:
+        r.d_n += state.node[r.parent].d_n
+
+
+@njit
 def descend(state):
     """``dC/drho`` and ``dC/dv`` along both paths."""
     for k in range(state.counts[3] - 1, -1, -1):
-        r = state.node[state.path_b[k]]
-        r.d_rho, r.d_v = slope_at(state, state.path_b[k])
+        set_slopes(state, state.path_b[k])
     for k in range(state.counts[2] - 1, -1, -1):
-        r = state.node[state.path_a[k]]
-        r.d_rho, r.d_v = slope_at(state, state.path_a[k])
+        set_slopes(state, state.path_a[k])
 
 
 @njit
@@ -260,6 +287,5 @@ def sweep(state, order):
             refresh(state, i)
     result = total(state)
     for k in range(count):
-        r = state.node[order[k]]
-        r.d_rho, r.d_v = slope_at(state, order[k])
+        set_slopes(state, order[k])
     return result

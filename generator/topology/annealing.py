@@ -8,8 +8,10 @@ bifurcations around a move are put right and ``C`` is exact, at the cost of two 
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,10 +20,11 @@ from generator._domain_kernels import Space
 from generator.domain import convex_space
 from generator.growth.root_tree import RootTree
 from generator.haemodynamics import Perfusion
+from generator.kept import fits, set_words, words_of
 from generator.topology import _anneal_kernels as kernels
 from generator.topology._relax_kernels import polish
-from generator.topology._state_kernels import sweep
-from generator.topology.state import SearchTree
+from generator.topology._state_kernels import NODE, sweep
+from generator.topology.state import SHORTEST_MM, SearchTree
 from vascval.core.errors import InputError
 
 _BLOCK = 500
@@ -41,6 +44,8 @@ class AnnealingOptions:
     * ``tests``: topologies tried by each chain;
     * ``heat``: start temperature in units of the median rise of C over moves sampled at the start;
     * ``cooling``: start over end temperature; cooling is geometric in between;
+    * ``lenience``: a move of n terminals is accepted at a temperature ``n**lenience`` times as high, so that the trunk
+      still moves when the twigs have come to rest;
     * ``swaps``: share of the paper's swap among the moves, the others prune and regraft;
     * ``chains``: independent searches, of which the best counts.
 
@@ -48,8 +53,9 @@ class AnnealingOptions:
     """
 
     tests: int = 300_000
-    heat: float = 1.0
-    cooling: float = 60.0
+    heat: float = 0.5
+    cooling: float = 120.0
+    lenience: float = 0.7
     swaps: float = 0.2
     chains: int = 2
 
@@ -58,6 +64,8 @@ class AnnealingOptions:
             raise InputError(f"tests and chains are {self.tests} and {self.chains}; at least one is needed")
         if not (np.isfinite(self.heat) and self.heat > 0.0 and np.isfinite(self.cooling) and self.cooling >= 1.0):
             raise InputError(f"heat and cooling are {self.heat} and {self.cooling}; above 0 and at least 1 is needed")
+        if not 0.0 <= self.lenience <= 1.0:
+            raise InputError(f"lenience is {self.lenience}; a power between 0 and 1 is needed")
         if not 0.0 <= self.swaps <= 1.0:
             raise InputError(f"swaps is {self.swaps}; a share between 0 and 1 is needed")
 
@@ -79,21 +87,25 @@ class Annealing:
 
     :param parent, position_mm: as :class:`generator.topology.state.SearchTree` takes them.
     :param space: the domain as kernels see it; ``None``: all of space.
+    :param shortest_mm: terminals are made no shorter than this.
     """
 
     def __init__(
         self, parent: np.ndarray, position_mm: np.ndarray, root_tree: RootTree, perfusion: Perfusion, *,
-        space: Space | None = None, options: AnnealingOptions | None = None, rng: np.random.Generator,
+        space: Space | None = None, options: AnnealingOptions | None = None, shortest_mm: float = SHORTEST_MM,
+        rng: np.random.Generator,
     ) -> None:  # fmt: skip
         self.options, self.rng = options or AnnealingOptions(), rng
         self.space = convex_space() if space is None else space
-        self.tree = SearchTree(parent, position_mm, root_tree, perfusion)
+        self.tree = SearchTree(parent, position_mm, root_tree, perfusion, shortest_mm)
         self.cost = sweep(self.tree.state, self.tree.flat.order)
         self._eps = _EPS_RELAX * self.tree.mean_length_mm
         if self.space.convex:
             self.cost = self._polish(3.0)
         self._best, self._best_cost = self.tree.state.node.copy(), self.cost
         self._nearby = self._grid()
+        self._rise = 0.0
+        self._between_blocks = threading.Lock()
         self.n_tests = 0
 
     @property
@@ -103,49 +115,94 @@ class Annealing:
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """The best tree so far, as :meth:`SearchTree.arrays` gives it."""
-        present = self.tree.state.node.copy()
-        self.tree.state.node[:] = self._best
-        result = self.tree.arrays()
-        self.tree.state.node[:] = present
+        with self._between_blocks:
+            present = self.tree.state.node.copy()
+            self.tree.state.node[:] = self._best
+            result = self.tree.arrays()
+            self.tree.state.node[:] = present
         return result
 
     def steps(self) -> Iterator[AnnealingStep]:
         """All tests, a block at a time; trees of fewer than three terminals have no other topology and take none."""
         if self.tree.n_terminals < 3:
             return
-        options, state, flat = self.options, self.tree.state, self.tree.flat
-        start, rise = self._start_temperature()
-        rules = kernels.Rules(options.swaps, 2.0 * rise, 20.0 * rise, _EPS_NEAR * self.tree.mean_length_mm)
-        tally = np.zeros((2, 3), np.int64)
-        done = 0
-        while done < options.tests:
-            temperature = start * options.cooling ** (-done / options.tests)
-            count = min(_BLOCK, _BLOCK_PER_TERMINAL * self.tree.n_terminals, options.tests - done)
-            self._lay()
-            tally[:] = 0
-            self.cost = kernels.run(
-                state, flat, self.space, self._nearby, self.rng, rules, count, temperature, self.cost, tally
-            )
-            self.cost = kernels.relax_inside(state, flat, self.space, self._eps, 1, self.cost)
+        while self.n_tests < self.options.tests:
+            with self._between_blocks:
+                step = self._block()
+            yield step
+        with self._between_blocks:
+            self.tree.state.node[:] = self._best
+            self.cost = sweep(self.tree.state, self.tree.flat.order)
+            if self.space.convex:
+                self.cost = self._polish(0.3)
             self._note()
-            done += count
-            self.n_tests = done
-            volume = self.tree.volume_mm3(self.cost)
-            accepted = int(tally[:, kernels.ACCEPTED].sum())
-            yield AnnealingStep(done, options.tests, accepted, temperature, volume, self.best_mm3)
-        state.node[:] = self._best
-        self.cost = sweep(state, flat.order)
-        if self.space.convex:
-            self.cost = self._polish(0.3)
-        self._note()
 
-    def _start_temperature(self) -> tuple[float, float]:
-        """The start temperature and the median rise of C that it is made of."""
+    def _block(self) -> AnnealingStep:
+        """The tests up to the next step."""
+        options, state, flat, done = self.options, self.tree.state, self.tree.flat, self.n_tests
         self._lay()
+        if done == 0:
+            self._rise = self._median_rise()
+        temperature = options.heat * self._rise * options.cooling ** (-done / options.tests)
+        count = min(_BLOCK, _BLOCK_PER_TERMINAL * self.tree.n_terminals, options.tests - done)
+        tally = np.zeros((2, 3), np.int64)
+        self.cost = kernels.run(
+            state, flat, self.space, self._nearby, self.rng, self._rules(), count, temperature, self.cost, tally
+        )
+        self.cost = kernels.relax_inside(state, flat, self.space, self._eps, 1, self.cost)
+        self._note()
+        self.n_tests = done + count
+        accepted = int(tally[:, kernels.ACCEPTED].sum())
+        volume = self.tree.volume_mm3(self.cost)
+        return AnnealingStep(self.n_tests, options.tests, accepted, temperature, volume, self.best_mm3)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that decides how the chain goes on, as plain arrays that are copies; of any thread, between two steps."""
+        with self._between_blocks:
+            return {
+                "rng": words_of(self.rng),
+                "n_tests": np.array([self.n_tests], np.int64),
+                "numbers": np.array([self.cost, self._best_cost, self._rise]),
+                "node": _bytes_of(self.tree.state.node),
+                "best": _bytes_of(self._best),
+                "counts": self.tree.state.counts.copy(),
+                "share": self.tree.state.share.copy(),
+            }
+
+    def restore(self, kept: dict[str, np.ndarray]) -> None:
+        """Take over what :meth:`state` gave of a chain that began with the same tree and options.
+
+        :raises InputError: when it is not sound; do not go on from here then.
+        """
+        state = self.tree.state
+        size, wide = state.node.size, NODE.itemsize
+        kinds: dict[str, tuple[str, tuple[int | None, ...]]] = {
+            "rng": ("uint64", (6,)), "n_tests": ("int64", (1,)), "numbers": ("float64", (3,)),
+            "node": ("uint8", (size, wide)), "best": ("uint8", (size, wide)), "counts": ("int64", (4,)),
+            "share": ("float64", (state.share.size,)),
+        }  # fmt: skip
+        sound = fits(kept, kinds) and 0 <= kept["n_tests"][0] <= self.options.tests
+        sound = sound and bool(np.isfinite(kept["numbers"]).all() and np.isfinite(kept["share"]).all())
+        if not sound:
+            raise InputError("lacks a part of the search for topologies; begin the run anew")
+        node, best = (np.ascontiguousarray(kept[name]).view(NODE).ravel() for name in ("node", "best"))
+        if not (self.tree.takes(node) and self.tree.takes(best)) or not 0 <= kept["counts"][1] < 2**31:
+            raise InputError("holds a searched tree that is not sound; begin the run anew")
+        set_words(self.rng, kept["rng"])
+        state.node[:], self._best[:] = node, best
+        state.counts[1], state.share[:] = kept["counts"][1], kept["share"]
+        self.n_tests = int(kept["n_tests"][0])
+        self.cost, self._best_cost, self._rise = (float(value) for value in kept["numbers"])
+
+    def _rules(self) -> kernels.Rules:
+        options = self.options
+        return kernels.Rules(options.swaps, self._rise, _EPS_NEAR * self.tree.mean_length_mm, options.lenience)
+
+    def _median_rise(self) -> float:
+        """The median rise of C by a move, which temperatures are made of."""
         rise = np.zeros(_SAMPLES)
-        count = kernels.sample(self.tree.state, self._nearby, self.rng, self.options.swaps, self.cost, rise)
-        median = max(float(np.median(rise[:count])) if count else 0.0, 1e-9)
-        return self.options.heat * median, median
+        count = kernels.sample(self.tree.state, self._nearby, self.rng, self._rules(), self.cost, rise)
+        return max(float(np.median(rise[:count])) if count else 0.0, 1e-9)
 
     def _polish(self, coarse: float) -> float:
         """The geometry of the present topology to about 1e-8 of the volume."""
@@ -177,20 +234,34 @@ class Annealing:
 def anneal(chains: list[Annealing], workers: int = 1) -> Iterator[AnnealingStep]:
     """All chains to their end, on threads; each has its own random numbers, so that workers change nothing.
 
-    Steps are those of the first chain that is running, for show; compare ``best_mm3`` of the chains in the end.
+    Steps are those of the first chain that is running, for show; compare ``best_mm3`` of the chains in the end. When
+    the iterator is closed the others stop too, after their present block.
     """
     first, rest = chains[0], chains[1:]
     if workers < 2 or not rest:
         for chain in chains:
             yield from chain.steps()
         return
-    with ThreadPoolExecutor(workers - 1) as pool:
-        running = [pool.submit(_exhaust, chain) for chain in rest]
-        yield from first.steps()
-        for future in running:
-            future.result()
+    stop = threading.Event()
+    with ThreadPoolExecutor(min(workers - 1, len(rest))) as pool:
+        running = [pool.submit(_exhaust, chain, stop) for chain in rest]
+        try:
+            yield from first.steps()
+            for future in running:
+                while not future.done():
+                    wait([future], 0.2)
+                future.result()
+        finally:
+            stop.set()
 
 
-def _exhaust(chain: Annealing) -> None:
+def _exhaust(chain: Annealing, stop: threading.Event) -> None:
     for _ in chain.steps():
-        pass
+        time.sleep(0.0)  # lets a thread in that waits for the state of this chain
+        if stop.is_set():
+            break
+
+
+def _bytes_of(node: np.ndarray) -> np.ndarray:
+    """(N, bytes) a copy of the records as plain bytes."""
+    return node.view(np.uint8).reshape(node.size, -1).copy()

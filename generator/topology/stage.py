@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
+from dataclasses import astuple
 
 import numpy as np
 
 from generator.config import Config
 from generator.domain import Domain
 from generator.growth.root_tree import RootTree
+from generator.kept import below, fits, with_prefix
 from generator.topology.annealing import Annealing, AnnealingStep, anneal
+from vascval.core.errors import InputError
+from vascval.core.threads import threads
 
 
 class TopologyStage:
@@ -21,29 +24,59 @@ class TopologyStage:
     """
 
     def __init__(self, config: Config, domain: Domain, root_tree: RootTree, rng: np.random.Generator) -> None:
-        self.config, self.domain, self.root_tree, self.rng = config, domain, root_tree, rng
-        self.tests = 0
+        self.config, self.domain, self.root_tree = config, domain, root_tree
+        self._rngs = rng.spawn(config.topology.chains)
         self.history: list[AnnealingStep] = []
-        self._best: Annealing | None = None
+        self._chains: list[Annealing] = []
 
-    def search(self, parent: np.ndarray, position_mm: np.ndarray) -> Iterator[AnnealingStep]:
-        """Anneal all chains; the best tree is :meth:`best` afterwards, or when left off."""
-        options = self.config.topology.options()
-        chains = [
+    @property
+    def begun(self) -> bool:
+        return bool(self._chains)
+
+    @property
+    def tests(self) -> int:
+        """Topologies tried so far."""
+        return sum(chain.n_tests for chain in self._chains)
+
+    def search(
+        self, parent: np.ndarray, position_mm: np.ndarray, resume: dict[str, np.ndarray] | None = None
+    ) -> Iterator[AnnealingStep]:
+        """Anneal all chains; the best tree is :meth:`best` afterwards, or when left off.
+
+        :param resume: what :meth:`state` gave of a search that began with the same tree.
+        :raises InputError: when that is not sound.
+        """
+        options, shortest = self.config.topology.options(), self.config.geometry.l_min_mm
+        self._chains = [
             Annealing(
                 parent, position_mm, self.root_tree, self.config.flow(), space=self.domain.space, options=options,
-                rng=rng,
+                shortest_mm=shortest, rng=rng,
             )
-            for rng in self.rng.spawn(options.chains)
-        ]
-        self._best = chains[0]
-        for step in anneal(chains, os.cpu_count() or 1):
+            for rng in self._rngs
+        ]  # fmt: skip
+        if resume is not None:
+            self._restore(resume)
+        for step in anneal(self._chains, threads()):
             self.history.append(step)
             yield step
-        self._best = min(chains, key=lambda chain: chain.best_mm3)
-        self.tests = sum(chain.n_tests for chain in chains)
 
     def best(self) -> tuple[np.ndarray, np.ndarray]:
         """``parent`` and ``position_mm`` of the best tree found."""
-        assert self._best is not None
-        return self._best.arrays()
+        return min(self._chains, key=lambda chain: chain.best_mm3).arrays()
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that decides how a search goes on that has begun, as plain arrays that are copies."""
+        kept = {"history": np.array([astuple(step) for step in self.history], np.float64).reshape(-1, 6)}
+        for number, chain in enumerate(self._chains):
+            kept |= with_prefix(f"chain{number}", chain.state())
+        return kept
+
+    def _restore(self, kept: dict[str, np.ndarray]) -> None:
+        if not fits(kept, {"history": ("float64", (None, 6))}):
+            raise InputError("lacks a part of the search for topologies; begin the run anew")
+        self.history = [
+            AnnealingStep(int(tests), int(target), int(accepted), *numbers)
+            for tests, target, accepted, *numbers in kept["history"].tolist()
+        ]
+        for number, chain in enumerate(self._chains):
+            chain.restore(below(f"chain{number}", kept))

@@ -72,6 +72,31 @@ class SearchTree:
         node = self.state.node[self.state.n_fixed :]
         return float(node["length"].mean())
 
+    def takes(self, node: np.ndarray) -> bool:
+        """Whether these records are a sound tree of the same terminals and root tree: kernels trust their indices."""
+        have, fixed, index = self.state.node, self.state.n_fixed, np.arange(node.size)
+        parent, first, second = node["parent"], node["first"], node["second"]
+        if not all(np.isfinite(node[name]).all() for name in NODE.names or () if NODE[name] == np.float64):
+            return False
+        for child in (first, second):
+            named = np.flatnonzero(child >= 0)
+            if child.min() < -1 or child.max() >= node.size or (parent[child[named]] != named).any():
+                return False
+        try:
+            root_first(parent)
+        except InputError:
+            return False
+        above = parent[fixed:]
+        inner = have["first"] >= 0
+        return bool(
+            (parent[:fixed] == have["parent"][:fixed]).all()
+            and ((first >= 0) == inner).all()
+            and ((second >= 0)[fixed:] == inner[fixed:]).all()
+            and (second[:fixed] < 0).all()
+            and ((first[above] == index[fixed:]) | (second[above] == index[fixed:])).all()
+            and (node["n"][fixed:] >= 1).all()
+        )
+
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """``parent`` (N,) and ``position_mm`` (N, 3), root first, the root tree's nodes before all others."""
         node, fixed = self.state.node, self.state.n_fixed
@@ -124,7 +149,9 @@ def _bifurcating(parent: np.ndarray, position: np.ndarray, fixed: int) -> tuple[
 def _work_space(size: int) -> Flat:
     kinds = {"order": np.int32, "room": np.int32, "rank": np.int32, "parent": np.int32, "moves": np.bool_}
     wide = {"position": 3, "trial": 3, "gradient": 3, "direction": 3, "block": 6, "diagonal": 6}
-    return Flat(**{
-        name: np.zeros((size, wide[name]) if name in wide else size, kinds.get(name, np.float64))
-        for name in Flat._fields
-    })
+    return Flat(
+        **{
+            name: np.zeros((size, wide[name]) if name in wide else size, kinds.get(name, np.float64))
+            for name in Flat._fields
+        }
+    )

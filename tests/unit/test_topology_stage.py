@@ -1,7 +1,6 @@
 """Algorithm 1 as a whole: growth, topology, growth on with geometry, geometry."""
 
 import numpy as np
-import pytest
 
 from generator.config import load
 from generator.framework import Run
@@ -47,5 +46,5 @@ def test_interrupted_search_keeps_what_it_found():
             break
     steps.close()
     assert found is not None
-    # the volume shown is that of the best tree at that step; reading it back rounds
-    assert run.tree().volume_mm3 == pytest.approx(found, rel=1e-9)
+    # the volume shown is that of the first chain's best tree; the other may be better, by percents at this size
+    assert 0.9 * found < run.tree().volume_mm3 < found * (1.0 + 1e-9)
