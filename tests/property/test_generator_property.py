@@ -30,9 +30,7 @@ side = st.floats(1.0, 200.0)
 )
 def test_a_grown_tree_is_valid(n, gamma, size, n_connections, spacing, merge_mm, diameters, seed):
     box = Box(size)
-    options = GrowthOptions(
-        n_connections=n_connections, spacing=spacing, merge_mm=merge_mm, diameters=diameters
-    )
+    options = GrowthOptions(n_connections=n_connections, spacing=spacing, merge_mm=merge_mm, diameters=diameters)
     # a flow that gives thin vessels in a box of any size: radii grow with the fourth root of flow times length
     law = Perfusion(2000.0, 1000.0, 1e-3 * min(size) ** 3, 3.6e-3, gamma)
     growth = Growth(box, law, box.lower_mm, n, options=options, rng=np.random.default_rng(seed))

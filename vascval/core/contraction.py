@@ -67,9 +67,7 @@ def contract_degenerate(tree: Tree, *, diameters: float = 1.0) -> Tree:
 _DERIVED = {"order", "generation", "element", "parent", "diameter_order", "length_mm", "pressure_drop_pa"}
 
 
-def _moved_polylines(
-    tree: Tree, keep: np.ndarray, proximal: np.ndarray
-) -> tuple[np.ndarray | None, np.ndarray | None]:
+def _moved_polylines(tree: Tree, keep: np.ndarray, proximal: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
     if tree.polyline_mm is None or tree.polyline_offset is None:
         return None, None
     begin, size = tree.polyline_offset[keep], np.diff(tree.polyline_offset)[keep]

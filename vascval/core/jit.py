@@ -62,4 +62,3 @@ def _user_cache() -> Path:
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "vascval"
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "vascval"
-

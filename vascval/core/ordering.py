@@ -75,9 +75,7 @@ def generation(topology: Topology, order: np.ndarray | None = None) -> np.ndarra
     return result
 
 
-def diameter_defined_order(
-    topology: Topology, diameter_mm: np.ndarray, *, max_iterations: int = 200
-) -> np.ndarray:
+def diameter_defined_order(topology: Topology, diameter_mm: np.ndarray, *, max_iterations: int = 200) -> np.ndarray:
     """(N,) int32 diameter-defined Strahler order (Jiang, Kassab, Fung 1994).
 
     Starting from Strahler orders, a parent is one order above its largest child only if its diameter exceeds that

@@ -166,9 +166,7 @@ def merge_paths(points, offset, group, tolerance):
     for a in range(1, offset.size - 1):
         best, at = 1, 0
         for b in range(a):
-            count, last = shared_beginning(
-                points, group, tolerance, offset[a], offset[a + 1], offset[b], offset[b + 1]
-            )
+            count, last = shared_beginning(points, group, tolerance, offset[a], offset[a + 1], offset[b], offset[b + 1])
             if count > best:
                 best, at = count, last
         beside = stands[at]
