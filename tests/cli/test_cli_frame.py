@@ -18,7 +18,7 @@ from vascval.cli.main import cli, main
 from vascval.cli.options import Memory, Numbers, Threshold
 from vascval.core.errors import ComputationError, InputError
 
-COMMANDS = ["demo", "compare", "skeletonize", "analyze", "generate", "twin", "ensemble", "view", "schema"]
+COMMANDS = ["demo", "compare", "skeletonize", "analyze", "generate", "optimum", "twin", "ensemble", "view", "schema"]
 VASCVAL = [sys.executable, "-m", "vascval.cli"]
 
 

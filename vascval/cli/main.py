@@ -22,7 +22,7 @@ from vascval.core.errors import VascvalError
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
-_COMMANDS = ("demo", "compare", "skeletonize", "analyze", "generate", "twin", "ensemble", "view", "schema")
+_COMMANDS = ("demo", "compare", "skeletonize", "analyze", "generate", "optimum", "twin", "ensemble", "view", "schema")
 
 
 class _Commands(click.Group):

@@ -194,6 +194,29 @@ class GenerateDocument(Document):
     stages: list[Stage]
 
 
+class Searched(Document):
+    """What the search of ``vascval generate`` reaches on the same terminals."""
+
+    volume_mm3: float = _f("volume of the best tree that it found")
+    tests: int = _f("topologies tried, of all chains")
+    seconds: float = _f("wall time")
+
+
+class OptimumDocument(Document):
+    """Output of ``vascval optimum --json``."""
+
+    volume_mm3: float = _f("volume of the best tree over all topologies")
+    n_terminals: int = _f("terminals, 2 to 10")
+    seed: int = _f("with which the terminals were drawn, if they were")
+    n_topologies: int = _f("topologies that there are, (2 n - 3)!! for n terminals")
+    n_bounded: int = _f("partial trees for which a bound was found")
+    n_optimised: int = _f("whole topologies that no bound ruled out, and whose geometry was optimised")
+    seconds: float = _f("wall time of finding the optimum")
+    search: Searched
+    ratio: float = _f("volume of the search over the optimum")
+    certificate: str = _f("what is proven and what is not")
+
+
 def plain(value: Any) -> Any:
     """``value`` as JSON knows it: NumPy and pandas scalars unwrapped, frames as records, not finite as ``None``."""
     if isinstance(value, pd.DataFrame):

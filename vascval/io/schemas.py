@@ -22,6 +22,7 @@ _DOCUMENTS: dict[str, type[BaseModel]] = {
     "ensemble": ensembles.EnsembleDocument,
     "ensemble-manifest": ensembles.ManifestDocument,
     "generate": documents.GenerateDocument,
+    "optimum": documents.OptimumDocument,
     "skeletonize": documents.SkeletonizeDocument,
     "twin": twins.TwinDocument,
 }
