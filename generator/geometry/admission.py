@@ -23,7 +23,7 @@ from vascval.core.errors import ComputationError
 from vascval.core.tree import Tree
 
 _COINCIDENT_MM = 1e-9
-"""Lengths are smoothed by this where the tree begins: of two nodes in one place, as a search of topologies may leave
+"""Lengths are smoothed by this where forces are judged: of two nodes in one place, as a search of topologies may leave
 them, the direction of the forces is not defined."""
 _SWEEPS = 10
 _ROUNDS = 10
@@ -103,7 +103,7 @@ def _sweep(problem: Problem, target: Solution, admission: Admission, solve: Call
         held = held | (share < 1.0)
         target = solve(replace(problem, position_mm=position, held=held, pull=target.pull))
         steps += target.n_iterations
-    return replace(evaluate(problem.at(position), pull=target.pull), n_iterations=steps)
+    return replace(evaluate(problem.at(position), eps=_COINCIDENT_MM, pull=target.pull), n_iterations=steps)
 
 
 def _retreat(problem: Problem, optimum: Solution, admission: Admission) -> np.ndarray:
@@ -111,7 +111,7 @@ def _retreat(problem: Problem, optimum: Solution, admission: Admission) -> np.nd
     share = np.ones(problem.n_nodes)
     parent, step = problem.topology.parent, optimum.position_mm - problem.position_mm
     while True:
-        tree = evaluate(problem.at(problem.position_mm + share[:, None] * step)).tree
+        tree = evaluate(problem.at(problem.position_mm + share[:, None] * step), eps=_COINCIDENT_MM).tree
         bad = np.flatnonzero(admission.offending(problem, tree))
         if bad.size == 0:
             return share

@@ -1,21 +1,26 @@
 """Search over topologies: volume by number of tests, tests per second, and the optimum of small trees.
 
-``python -m tests.benchmarks.bench_topology [tests|optima|orders ...]`` prints tables; without arguments all of them.
+``python -m tests.benchmarks.bench_topology [tests|reduction|optima|orders ...]`` prints tables; without arguments all.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from itertools import permutations
 
 import numpy as np
 
 from generator.growth.growth import Growth
-from generator.growth.insertion_order import spread_order
+from generator.haemodynamics import perfused_tree
 from generator.topology.annealing import Annealing, AnnealingOptions
 from generator.topology.exhaustive import optimal_tree
+from generator.topology.state import SHORTEST_MM
 from tests.benchmarks.bench_growth import BOX, CORNER, KARCH, TERMINALS
 from tests.benchmarks.tables import main, table
+from vascval.comparison.location import sample_centrelines
+from vascval.core.tree import Topology, Tree
+from vascval.morphometry.pieces import pieces
 
 KNOWN = {"opencco_500": 833.1, "ccolab_500": 833.8}
 """Best volumes (mm^3) of a plain implementation that relaxes the whole tree in each test, in six minutes."""
@@ -28,10 +33,15 @@ def grown(points: np.ndarray, root: np.ndarray, order: np.ndarray) -> Growth:
     return growth
 
 
-def annealed(growth: Growth, seed: int, **options: float) -> tuple[Annealing, float, float]:
+def annealed(
+    growth: Growth, seed: int, shortest_mm: float = SHORTEST_MM, **options: float
+) -> tuple[Annealing, float, float]:
     """A chain at its end, its volume at the beginning, after geometry alone, and CPU seconds."""
     settings = AnnealingOptions(**options)  # type: ignore[arg-type]
-    chain = Annealing(*growth.snapshot(), growth.root_tree, KARCH, options=settings, rng=np.random.default_rng(seed))
+    chain = Annealing(
+        *growth.snapshot(), growth.root_tree, KARCH, options=settings, shortest_mm=shortest_mm,
+        rng=np.random.default_rng(seed),
+    )  # fmt: skip
     start, began = chain.best_mm3, time.process_time()
     for _ in chain.steps():
         pass
@@ -44,25 +54,49 @@ def terminals(name: str, largest: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tests(
-    names: Sequence[str] = tuple(KNOWN), counts: Sequence[int] = (10_000, 100_000, 1_000_000), largest: int = 10_000
-) -> str:
-    """Volume by number of tests, on the terminals of other programs."""
+    names: Sequence[str] = tuple(KNOWN), counts: Sequence[int] = (10_000, 100_000, 1_000_000, 10_000_000),
+    orders: Sequence[int] = (0, 1, 2), shortest: Sequence[float] = (SHORTEST_MM, 0.0), largest: int = 10_000,
+) -> str:  # fmt: skip
+    """Volume by number of tests, on the terminals of other programs, connected in random orders."""
     rows: list[list[object]] = []
+    annealed(grown(BOX.sample(20, np.random.default_rng(1)), CORNER, np.arange(20)), 1, tests=100)  # compiles
     for name in names:
         if not (TERMINALS / f"{name}.csv").exists():
-            rows.append([name, "terminals not there", *[""] * 6])
+            rows.append([name, "terminals not there", *[""] * 7])
             continue
         root, points = terminals(name, largest)
-        growth = grown(points, root, spread_order(points, root, np.random.default_rng(1)))
-        for count in counts:
-            chain, start, seconds = annealed(growth, 1, tests=count)
-            rows.append(
-                [name, f"{count:,}", f"{growth.volume_mm3:.1f}", f"{start:.1f}", f"{chain.best_mm3:.1f}",
-                 f"{chain.best_mm3 / growth.volume_mm3 - 1:.1%}", KNOWN[name], f"{count / seconds:,.0f}"]
-            )  # fmt: skip
-    header = ("terminals of", "tests", "growth mm^3", "geometry", "topology", "less than growth", "best known",
-              "tests per CPU s")  # fmt: skip
+        grows = [grown(points, root, np.random.default_rng(order).permutation(len(points))) for order in orders]
+        for bound in shortest:
+            for count in counts:
+                ends = [annealed(each, 1, bound, tests=count) for each in grows]
+                volumes = [chain.best_mm3 for chain, _, _ in ends]
+                seconds = float(np.mean([seconds for _, _, seconds in ends]))
+                before = float(np.mean([each.volume_mm3 for each in grows]))
+                rows.append(
+                    [name, bound, f"{count:,}", f"{before:.1f}", f"{np.mean([start for _, start, _ in ends]):.1f}",
+                     f"{np.mean(volumes):.1f}", f"{min(volumes):.2f}", f"{np.mean(volumes) / before - 1:.1%}",
+                     KNOWN[name], f"{seconds:.1f}", f"{count / seconds:,.0f}"]
+                )  # fmt: skip
+    header = ("terminals of", "l_min mm", "tests", "growth mm^3", "geometry", "topology", "best", "less than growth",
+              "known before", "CPU s", "tests per CPU s")  # fmt: skip
     return table(header, rows)
+
+
+def reduction(seeds: int = 10, count: int = 1_000_000, n_terminals: int = 500) -> str:
+    """How much less volume than growth trees of sampled terminals have after geometry and after topology."""
+    volumes = np.empty((seeds, 3))
+    for seed in range(seeds):
+        growth = Growth(BOX, KARCH, CORNER, n_terminals, rng=np.random.default_rng(seed))
+        for _ in growth.steps():
+            pass
+        chain, start, _ = annealed(growth, seed, tests=count)
+        volumes[seed] = growth.volume_mm3, start, chain.best_mm3
+    less = 1.0 - volumes / volumes[:, :1]
+    rows = [
+        [what, f"{volumes[:, k].mean():.1f}", *(f"{f(less[:, k]):.1%}" for f in (np.mean, np.min, np.max))]
+        for k, what in enumerate(("growth", "geometry", "topology"))
+    ]  # fmt: skip
+    return table(("after", "mean mm^3", "less: mean", "least", "most"), rows)
 
 
 def optima(counts: Sequence[int] = (5, 6, 7, 8), instances: int = 100) -> str:
@@ -89,24 +123,43 @@ def optima(counts: Sequence[int] = (5, 6, 7, 8), instances: int = 100) -> str:
     return table(header, rows)
 
 
-def orders(name: str = "opencco_500", count: int = 10, n_tests: int = 300_000, largest: int = 10_000) -> str:
-    """The same terminals connected in random orders: how far apart the volumes are before and after."""
+def orders(name: str = "opencco_500", count: int = 10, n_tests: int = 1_000_000, largest: int = 10_000) -> str:
+    """The same terminals connected in random orders: how far apart volumes and vessels are before and after."""
+    header = ("volumes of", "mean mm^3", "lowest", "highest", "spread", "thick vessels apart, mm", "within 1 mm")
     if not (TERMINALS / f"{name}.csv").exists():
-        return table(("volumes of", "mean mm^3", "lowest", "highest", "spread"), [[name, *["terminals not there"] * 4]])
+        return table(header, [[name, *["terminals not there"] * 6]])
     root, points = terminals(name, largest)
-    volumes = np.empty((3, count))
+    volumes, trees = np.empty((3, count)), [[], [], []]  # type: tuple[np.ndarray, list[list[Tree]]]
     for k in range(count):
         growth = grown(points, root, np.random.default_rng(k).permutation(len(points)))
-        chain, start, _ = annealed(growth, k, tests=n_tests)
-        volumes[:, k] = growth.volume_mm3, start, chain.best_mm3
-    rows = [
-        [what, f"{row.mean():.1f}", f"{row.min():.1f}", f"{row.max():.1f}", f"{np.ptp(row) / row.mean():.2%}"]
-        for what, row in zip(("growth", "geometry", "topology"), volumes, strict=True)
-    ]
-    return table(("volumes of", "mean mm^3", "lowest", "highest", "spread"), rows)
+        start = Annealing(*growth.snapshot(), growth.root_tree, KARCH, rng=np.random.default_rng(k))
+        chain, _, _ = annealed(growth, k, tests=n_tests)
+        volumes[:, k] = growth.volume_mm3, start.best_mm3, chain.best_mm3
+        for stage, (parent, position) in enumerate((growth.snapshot(), start.arrays(), chain.arrays())):
+            trees[stage].append(perfused_tree(Topology(parent), position, KARCH))
+    rows = []
+    for what, row, made in zip(("growth", "geometry", "topology"), volumes, trees, strict=True):
+        apart = np.array([overlay(one, other) for one, other in permutations(made, 2)]).mean(axis=0)
+        rows.append(
+            [what, f"{row.mean():.1f}", f"{row.min():.1f}", f"{row.max():.1f}", f"{np.ptp(row) / row.mean():.2%}",
+             f"{apart[0]:.2f}", f"{apart[1]:.0%}"]
+        )  # fmt: skip
+    return table(header, rows)
 
 
-TABLES: dict[str, Callable[[], str]] = {"tests": tests, "optima": optima, "orders": orders}
+def overlay(tree: Tree, other: Tree, thick: float = 1.0 / 3.0) -> tuple[float, float]:
+    """Mean distance (mm) of the vessels of at least ``thick`` root radii from those of the other tree, by length; and
+    the share of that length that is within 1 mm."""
+    samples = sample_centrelines(tree, 0.5)
+    kept = tree.radius_mm[samples.segment] >= thick * tree.radius_mm[1:].max()
+    chosen = other.radius_mm >= thick * other.radius_mm[1:].max()
+    chosen[0] = False
+    distance = pieces(other, chosen).distance_mm(samples.points[kept])
+    weight = samples.length_mm[kept]
+    return float(np.average(distance, weights=weight)), float(np.average(distance <= 1.0, weights=weight))
+
+
+TABLES: dict[str, Callable[[], str]] = {"tests": tests, "reduction": reduction, "optima": optima, "orders": orders}
 
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ from tests.benchmarks import bench_topology
 @pytest.mark.parametrize(
     ("name", "arguments", "rows"),
     [
-        ("tests", {"names": ("opencco_500",), "counts": (200,), "largest": 20}, 1),
+        ("tests", {"names": ("opencco_500",), "counts": (200,), "orders": (0,), "largest": 20}, (1, 2)),
+        ("reduction", {"seeds": 2, "count": 200, "n_terminals": 20}, 3),
         ("optima", {"counts": (3, 4), "instances": 2}, 2),
         ("orders", {"count": 2, "n_tests": 200, "largest": 20}, (1, 3)),
     ],
