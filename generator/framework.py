@@ -118,6 +118,11 @@ class Run:
             if stage.name == "geometry":
                 self.geometry.solves = stage.solves or 0
 
+    @property
+    def search_ahead(self) -> bool:
+        """Whether topologies are still to be searched, or the search goes on."""
+        return not self._searched
+
     def _stage(self, name: str) -> Stage:
         return next(stage for stage in self.stages if stage.name == name)
 

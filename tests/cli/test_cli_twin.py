@@ -14,7 +14,8 @@ from vascval.io.trees import read_tree
 from vascval.io.volumes import read_volume
 
 QUICK = ["--set", "topology.tests=3000", "--set", "topology.chains=1"]
-LEFT = {"report.html", "report.json", "cast.vtp", "cco.vtp", "optimised.vtp", "figures/twin-0.png", "tables/totals.csv"}
+LEFT = {"report.html", "report.json", "cast.vtp", "cco.vtp", "optimised.vtp", "figures/twin-0.png", "tables/totals.csv",
+        "figures/search-volume.svg", "tables/search-history.csv"}  # fmt: skip
 
 
 def twin(*arguments, code: int = 0) -> None:

@@ -93,6 +93,7 @@ def test_tables_have_the_columns_of_their_rows(comparison):
         "reference": None,
         "ensemble-trees": ensemble.trees,
         "ensemble-spread": pd.concat([ensemble.totals, ensemble.generations]),
+        "search-history": None,
     }
     assert set(tables) == set(TABLES)
     for name, table in tables.items():

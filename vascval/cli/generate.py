@@ -13,7 +13,7 @@ from vascval.cli import sources
 from vascval.cli.console import note, say, table, write_json
 from vascval.cli.keeping import Keeping, grow
 from vascval.cli.options import json_option
-from vascval.core.errors import VascvalError
+from vascval.core.errors import InputError, VascvalError
 
 if TYPE_CHECKING:
     from generator.framework import Run
@@ -27,6 +27,7 @@ Examples:
   vascval generate karch-box -o tree.vtp --set n_terminals=500
   vascval generate portal-vein -o portal.vtp --set seed=7 --json portal.json
   vascval generate portal-vein -o tree.vtp --set domain.file=liver.nrrd --set root_mm=-12,40,88
+  vascval generate karch-box -o tree.vtp --set method=full --history search.svg
   vascval generate my.toml -o tree.vtp
 
 \b
@@ -58,6 +59,11 @@ The checkpoint is removed when the tree is done.
     "--resume", type=click.Path(path_type=Path), metavar="FILE",
     help="Go on from this checkpoint; give the same configuration.",
 )  # fmt: skip
+@click.option(
+    "--history", type=click.Path(path_type=Path), metavar="FILE",
+    help="How the search for topologies went (method=full, its first chain): a table where FILE ends in .csv, a figure "
+    "in .svg, .png or .pdf.",
+)  # fmt: skip
 @json_option
 def generate(
     config: str,
@@ -66,6 +72,7 @@ def generate(
     checkpoint: Path | None,
     every_s: float,
     resume: Path | None,
+    history: Path | None,
     json_file: str | None,
 ) -> None:
     """Grow a tree by constrained constructive optimisation: least volume at given flow and pressures.
@@ -81,12 +88,14 @@ def generate(
     sources.check_file(output)
     sources.check_file(checkpoint)
     sources.check_json(json_file)
+    if history is not None:
+        sources.check_file(history)
     from generator.config import load
     from generator.framework import Run
     from vascval.io.provenance import provenance
 
     run = Run.of(load(config, changes))
-    for path in (output, checkpoint):
+    for path in (output, checkpoint, *([] if history is None else [history])):
         sources.check_is_no_input(path, run.inputs())
     for sentence in run.domain.notes:
         note(sentence)
@@ -95,13 +104,15 @@ def generate(
     )
     keeping = Keeping(run, origin, checkpoint, every_s)
     keeping.begin(resume)
+    if history is not None:
+        _check_history(run, history)
     had = output.exists()
     interrupted = grow(run, keeping)
     if interrupted is not None and had:
         note(f"interrupted at {run.growth.n_grown:,} terminals; {output} is left as it was")
         raise interrupted
     try:
-        _write(run, output, origin, json_file)
+        _write(run, output, origin, history, json_file)
     except VascvalError:
         keeping.write()
         raise
@@ -111,17 +122,53 @@ def generate(
     keeping.end()
 
 
-def _write(run: Run, output: Path, origin: Mapping[str, Any], json_file: str | None) -> None:
+def _check_history(run: Run, path: Path) -> None:
+    """Refuses the history of a search that will not be, before the work begins."""
+    from vascval.report.search_history import SUFFIXES
+
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: a history is written as {', '.join(SUFFIXES)}; choose one of these")
+    if run.config.method != "full":
+        raise InputError(
+            f"--history {path}: method={run.config.method} has no search for topologies; set method=full, or leave "
+            "--history out"
+        )
+    if not run.search_ahead:
+        raise InputError(
+            f"--history {path}: the search was done before the checkpoint, which keeps no history of it; leave "
+            "--history out"
+        )
+    count = min(run.growth.n_terminals, run.config.topology.at)
+    if count < 3:
+        raise InputError(
+            f"--history {path}: {count} terminals have one topology and no search; leave --history out, or let there "
+            "be 3 or more (n_terminals, topology.at)"
+        )
+
+
+def _write(run: Run, output: Path, origin: Mapping[str, Any], history: Path | None, json_file: str | None) -> None:
     from vascval.io.trees import write_tree
 
     tree = run.tree()
     write_tree(tree, output, provenance=origin, claims=run.claims(tree))
+    if history is not None:
+        _write_history(run, history)
     document = _document(run, tree)
     if json_file != "-":
         say(table([["", "value"], *([name, _shown(document[name])] for name in _SHOWN)]))
         say(f"\ntree: {output}")
     if json_file is not None:
         write_json({**document, "provenance": origin}, json_file)
+
+
+def _write_history(run: Run, path: Path) -> None:
+    from vascval.report.search_history import history_table, write_search_history
+
+    steps = run.topology.history
+    if not steps:  # interrupted before
+        note(f"the search has not begun, so {path} is not written")
+        return
+    write_search_history(history_table([asdict(step) for step in steps]), path)
 
 
 _SHOWN = ("n_terminals", "n_segments", "n_trifurcations", "volume_mm3", "evenness", "seconds", "peak_memory_mb")

@@ -40,6 +40,7 @@ class Outcome:
         from vascval.io.provenance import provenance
         from vascval.io.trees import write_tree, write_vtp
         from vascval.report import write_compare_report
+        from vascval.report.search_history import history_table
         from vascval.report.twin_section import Twin
 
         config = next(iter(self.runs.values())).config
@@ -54,7 +55,8 @@ class Outcome:
             write_tree(tree, folder / f"{name}.vtp", provenance=own, claims=run.claims(tree))
         comparison = compare(self.cast, self.trees, observer=observer)
         facts = self.facts()
-        twin = Twin(facts, self.ground.surface)
+        steps = [asdict(step) for run in self.runs.values() for step in run.topology.history]
+        twin = Twin(facts, self.ground.surface, history_table(steps))
         write_compare_report(comparison, folder, provenance=origin, skeleton=self.skeleton, twin=twin)
         for tree, run in zip(facts["trees"], self.runs.values(), strict=True):
             tree["stages"] = [

@@ -314,6 +314,16 @@ class EnsembleSpreadRow(Row):
     max: float = _f("greatest value")
 
 
+class SearchStepRow(Row):
+    """A step of a search for topologies by annealing: so many tests at one temperature."""
+
+    n_tests: int = _f("topologies tested so far")
+    n_accepted: int = _f("of those tested in this step, how many were accepted")
+    temperature: float = _f("of the logarithm of the volume")
+    volume_mm3: float = _f("volume of the present tree")
+    best_mm3: float = _f("volume of the best tree so far")
+
+
 TABLES: dict[str, type[Row]] = {
     "generations": GenerationRow,
     "orders": OrderRow,
@@ -332,5 +342,6 @@ TABLES: dict[str, type[Row]] = {
     "reference": ReferenceRow,
     "ensemble-trees": EnsembleTreeRow,
     "ensemble-spread": EnsembleSpreadRow,
+    "search-history": SearchStepRow,
 }
 """The row model of every table by name. ``differences`` follows from ``generations``: see the comparison."""

@@ -43,6 +43,8 @@ def tables(subject: Subject) -> dict[str, pd.DataFrame]:
         found["image-positions"] = _positions(subject.skeleton)
     if subject.comparison is not None:
         found |= _of_comparison(subject, subject.comparison)
+    if subject.twin is not None and not subject.twin.history.empty:
+        found["search-history"] = subject.twin.history
     return found
 
 

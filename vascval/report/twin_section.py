@@ -12,17 +12,22 @@ from vascval.report.formats import THIN, count, measure, percent, point
 from vascval.report.page import Cell, Figure, Items, Picture, Section, Table, Text
 from vascval.report.plots import from_zero, handles, line, panel, whole_ticks
 from vascval.report.scene import Surface, Tubes, bounds_mm, tubes, viewpoint
+from vascval.report.search_history import search_pictures
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from vascval.report.subject import Subject
 
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """``facts``: :class:`vascval.io.documents.Twin` as plain values; ``surface`` of the perfusion volume."""
+    """``facts``: :class:`vascval.io.twins.Twin` as plain values; ``surface`` of the perfusion volume; ``history`` of
+    the search for topologies (:class:`vascval.io.rows.SearchStepRow`), without rows where there was none."""
 
     facts: Mapping[str, Any]
     surface: Surface | None
+    history: pd.DataFrame
 
 
 def twin(subject: Subject, given: Twin, figures: Path) -> Section:
@@ -46,9 +51,18 @@ def twin(subject: Subject, given: Twin, figures: Path) -> Section:
             "Mean radius by generation, over the radius of the root: what remains when the scale is taken out.",
             [_relative_radii(subject, facts, figures)],
         ),
+        *([] if given.history.empty else [_search(given.history, figures)]),
         *([Items(list(facts["notes"]))] if facts["notes"] else []),
     ]
     return Section("twin", "Twin", blocks)
+
+
+def _search(history: pd.DataFrame, figures: Path) -> Figure:
+    caption = (
+        "How topologies were searched by annealing, in the first chain: volume of the present and of the best tree; "
+        "tests accepted and temperature. In full: tables/search-history.csv."
+    )
+    return Figure(caption, search_pictures(history, figures), two=True)
 
 
 def _layers(subject: Subject) -> list[Tubes]:
