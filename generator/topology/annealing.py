@@ -28,9 +28,9 @@ from generator.topology.state import SHORTEST_MM, SearchTree
 from vascval.core.errors import InputError
 
 _BLOCK = 500
-_BLOCK_PER_TERMINAL = 4
+_BLOCK_PER_TERMINAL = (0.5, 4.0)
 """Tests at one temperature, after which the tree is relaxed, compared with the best, and proposals are drawn from its
-new shape: so many, but at most so many for each terminal."""
+new shape: so many, but at least and at most so many for each terminal."""
 _SAMPLES = 400
 _EPS_RELAX, _EPS_NEAR = 0.005, 0.05
 """Smoothing of lengths, in mean lengths of a segment."""
@@ -144,7 +144,8 @@ class Annealing:
         if done == 0:
             self._rise = self._median_rise()
         temperature = options.heat * self._rise * options.cooling ** (-done / options.tests)
-        count = min(_BLOCK, _BLOCK_PER_TERMINAL * self.tree.n_terminals, options.tests - done)
+        least, most = (int(per * self.tree.n_terminals) for per in _BLOCK_PER_TERMINAL)
+        count = min(max(_BLOCK, least), most, options.tests - done)
         tally = np.zeros((2, 3), np.int64)
         self.cost = kernels.run(
             state, flat, self.space, self._nearby, self.rng, self._rules(), count, temperature, self.cost, tally
