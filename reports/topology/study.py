@@ -67,8 +67,9 @@ The percentages are not of the same thing. The paper compares with its own CCO t
 with, since each connection is weighed by the volume of the whole tree, so that a smaller reduction may end at a
 better tree. What the search gains at {at:,} terminals it gains on the thick vessels; growing on to {n_terminals:,}
 adds volume that no search has touched. "Searched at the end" is one search of {at_the_end.tests:,} tests at
-{n_terminals:,} terminals, after growth alone, with one geometry programme after it. With the search on the final size of {at:,} terminals the reductions are
-those of [ten trees against tested topologies](../tested_topologies/README.md).
+{n_terminals:,} terminals, after growth alone, with one geometry programme after it. With the search on the final
+size of {at:,} terminals the reductions are those of
+[ten trees against tested topologies](../tested_topologies/README.md).
 """
     return Page(
         headline,
