@@ -147,6 +147,21 @@ def test_error_of_the_program_itself_is_not_swallowed(monkeypatch):
         failing(monkeypatch, ZeroDivisionError("by nought"))
 
 
+def of_compiled_code(cause: BaseException | None) -> SystemError:
+    """What comes of an exception that is raised while compiled code calls Python, twice over."""
+    for text in ("unpickle returned a result with an exception set", "kernel returned a result with an exception set"):
+        error = SystemError(text)
+        error.__cause__, cause = cause, error
+    return error
+
+
+def test_signal_in_compiled_code_is_a_signal(monkeypatch, capsys):
+    assert failing(monkeypatch, of_compiled_code(KeyboardInterrupt())) == 130
+    assert capsys.readouterr() == ("", "vascval: interrupted; no unfinished file is left behind\n")
+    with pytest.raises(SystemError, match="kernel returned a result"):
+        failing(monkeypatch, of_compiled_code(ValueError("a fault")))
+
+
 @pytest.mark.parametrize("place", [["--debug", "schema"], ["schema", "--debug"]])
 def test_debug_shows_the_traceback(place, monkeypatch, capsys):
     def names():

@@ -1,11 +1,13 @@
 """``vascval optimum``: the certificate, the terminals of generate, and what is refused."""
 
 import json
+import signal
 
 import jsonschema
 import numpy as np
 import pytest
 
+from generator.topology import _exhaustive_kernels as kernels
 from vascval.cli.main import main
 from vascval.io import schemas
 from vascval.io.trees import read_tree
@@ -93,6 +95,7 @@ def test_terminals_of_a_file(tmp_path):
         (("n_terminals=6", "geometry.r_min_mm=0.1"), "a smallest radius is not covered"),
         (("n_terminals=6", "geometry.objective=volume+power"), "an objective other than the volume is not covered"),
         (("n_terminals=6", "geometry.gamma_by_generation=2.5,3"), "geometry.gamma_by_generation is not covered"),
+        (("n_terminals=6", "geometry.l_min_mm=1"), "geometry.l_min_mm=1 is not covered by the proof"),
         (("n_terminals=6", "topology.at=5"), "topology.at=5 searches before all 6 terminals are there"),
         (("n_terminals=6", "method=geometry", "geometry.every=5"), "geometry.every=5 moves the tree before all 6"),
     ],
@@ -115,3 +118,50 @@ def test_outputs_that_cannot_be_are_refused(tmp_path, capsys):
     assert optimum(tmp_path, "--set", f"terminals_file={path}", "--json", path) == 2
     assert "is an input and would be overwritten" in capsys.readouterr().err
     assert path.read_bytes() == before
+
+
+def test_bifurcations_that_fall_together_are_one_junction(tmp_path):
+    """With exponent 2 thick trunks cost little more than thin ones, and the best tree has a trifurcation."""
+    assert optimum(tmp_path, *SMALL, "--set", "gamma=2", "--set", "seed=8", "--json", tmp_path / "best.json") == 0
+    tree = read_tree(tmp_path / "best.vtp")
+    assert (tree.topology.n_children == 3).any()
+    document = json.loads((tmp_path / "best.json").read_text())
+    assert document["shortest_mm"] == pytest.approx(tree.length_mm[1:].min(), rel=1e-6) and document["shortest_mm"] > 0
+    assert tree.volume_mm3 == pytest.approx(document["enumerated_mm3"], rel=1e-9)  # rounding of what fell together
+
+
+def test_a_better_geometry_of_the_search_is_taken(tmp_path, capsys):
+    """Terminals at their least length are where the local optimisation of the enumeration is not exact."""
+    assert optimum(tmp_path, *SMALL, "--set", "gamma=2", "--json", tmp_path / "best.json") == 0
+    document = json.loads((tmp_path / "best.json").read_text())
+    tree = read_tree(tmp_path / "best.vtp")
+    least = min(document["enumerated_mm3"], document["search"]["volume_mm3"])
+    assert document["volume_mm3"] == pytest.approx(least, rel=1e-8)
+    assert tree.volume_mm3 == pytest.approx(least, rel=1e-8)
+    assert document["ratio"] >= 1 - 1e-8
+    better = document["search"]["volume_mm3"] < document["enumerated_mm3"] * (1 - 1e-8)
+    assert ("the search has a better geometry" in capsys.readouterr().err) == better
+
+
+def test_a_bifurcation_on_the_root_is_said(tmp_path, capsys):
+    path = tmp_path / "points.csv"
+    path.write_text("x_mm,y_mm,z_mm\n40,40,5\n10,40,5\n70,40,5\n40,10,5\n40,70,5\n")
+    settings = [f"terminals_file={path}", "root_mm=none", "gamma=2", "topology.tests=500"]
+    assert optimum(tmp_path, "--quiet", *(word for text in settings for word in ("--set", text))) == 1
+    assert "lies on the root itself" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_it(tmp_path, monkeypatch, capsys, number, code):
+    bounds = kernels.bounds_of_insertions
+
+    def interrupted(*arguments):
+        if arguments[2] == 4:  # terminals that are there
+            signal.raise_signal(number)
+        return bounds(*arguments)
+
+    monkeypatch.setattr(kernels, "bounds_of_insertions", interrupted)
+    assert optimum(tmp_path, *SMALL) == code
+    assert capsys.readouterr() == ("", "vascval: interrupted; no unfinished file is left behind\n")
+    assert not list(tmp_path.iterdir())

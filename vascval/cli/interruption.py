@@ -1,4 +1,4 @@
-"""Signals that ask a long run to end, held back until it is at a step."""
+"""Signals that ask a long run to end: held back until it is at a step, and told from faults of kernels."""
 
 from __future__ import annotations
 
@@ -55,3 +55,12 @@ def held_back(unless: Callable[[], bool]) -> Iterator[Held]:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+
+
+def interruption_behind(error: SystemError) -> KeyboardInterrupt | None:
+    """The signal that is the cause of an error, if one is: it may come while compiled code calls Python, which can say
+    no more than that there was an exception."""
+    cause: BaseException | None = error
+    while cause is not None and not isinstance(cause, KeyboardInterrupt):
+        cause = cause.__cause__
+    return cause

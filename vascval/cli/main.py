@@ -17,6 +17,7 @@ import click
 
 from vascval import __version__
 from vascval.cli.console import State
+from vascval.cli.interruption import interruption_behind
 from vascval.cli.options import common_options
 from vascval.core.errors import VascvalError
 
@@ -91,6 +92,11 @@ def _run(arguments: list[str], state: State) -> int:
             cli.invoke(context)
     except click.exceptions.Exit as ending:
         return ending.exit_code
+    except SystemError as error:
+        interruption = interruption_behind(error)
+        if interruption is None:
+            raise
+        raise interruption from None
     finally:
         sys.stdout.flush()
     return 0

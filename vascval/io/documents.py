@@ -206,7 +206,9 @@ class OptimumDocument(Document):
     """Output of ``vascval optimum --json``."""
 
     volume_mm3: float = _f("volume of the best tree over all topologies")
+    enumerated_mm3: float = _f("the same of the enumeration alone; more where the search has a better geometry")
     n_terminals: int = _f("terminals, 2 to 10")
+    shortest_mm: float = _f("length of the shortest segment")
     seed: int = _f("with which the terminals were drawn, if they were")
     n_topologies: int = _f("topologies that there are, (2 n - 3)!! for n terminals")
     n_bounded: int = _f("partial trees for which a bound was found")
