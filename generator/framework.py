@@ -168,10 +168,10 @@ class Run:
         """The topology of the tree as it is now; what was found stays when the search is left off."""
         stage, began = self._stage("topology"), time.perf_counter()
         try:
-            for step in self.topology.search(*self.growth.snapshot(), resume=self._searching):
+            for _ in self.topology.search(*self.growth.snapshot(), resume=self._searching):
                 now = time.perf_counter()
-                stage.seconds, stage.volume_mm3, began = stage.seconds + now - began, step.best_mm3, now
-                yield stage.name, Step(step.n_tests, step.n_target, step.best_mm3)
+                stage.seconds, stage.volume_mm3, began = stage.seconds + now - began, self.topology.best_mm3, now
+                yield stage.name, Step(self.topology.tests, self.topology.target, stage.volume_mm3)
         finally:
             self.growth.put(*self.topology.best())
             stage.seconds, stage.tests = stage.seconds + time.perf_counter() - began, self.topology.tests

@@ -35,8 +35,18 @@ class TopologyStage:
 
     @property
     def tests(self) -> int:
-        """Topologies tried so far."""
+        """Topologies tried so far, by all chains."""
         return sum(chain.n_tests for chain in self._chains)
+
+    @property
+    def target(self) -> int:
+        """Topologies to be tried by all chains."""
+        return self.config.topology.tests * self.config.topology.chains
+
+    @property
+    def best_mm3(self) -> float:
+        """Volume of the best tree so far, without the root tree's."""
+        return min(chain.best_mm3 for chain in self._chains)
 
     def search(
         self, parent: np.ndarray, position_mm: np.ndarray, resume: dict[str, np.ndarray] | None = None

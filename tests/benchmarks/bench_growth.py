@@ -100,7 +100,7 @@ def rivals(names: Sequence[str] = tuple(RIVAL_VOLUMES), largest: int = 10_000) -
     for name in names:
         path = TERMINALS / f"{name}.csv"
         if not path.exists():
-            rows.append([name, "terminals not there", *[""] * 5])
+            rows.append([name, "terminals not there", *[""] * 4])
             continue
         points = np.loadtxt(path, delimiter=",", skiprows=1)[: largest + 1]
         root, points = points[0], points[1:]

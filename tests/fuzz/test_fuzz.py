@@ -70,7 +70,7 @@ def test_other_errors_and_warnings_are_faults(tmp_path: Path) -> None:
 
 
 def test_memory_of_a_case_is_seen() -> None:
-    with Memory() as memory:
+    with Memory(tidy=True) as memory:
         block = np.ones(8_000_000)
         del block
     if memory.peak == 0:

@@ -46,5 +46,5 @@ def test_interrupted_search_keeps_what_it_found():
             break
     steps.close()
     assert found is not None
-    # the volume shown is that of the first chain's best tree; the other may be better, by percents at this size
+    # the volume shown is that of the best tree at that step; the other chain may have found a better one since
     assert 0.9 * found < run.tree().volume_mm3 < found * (1.0 + 1e-9)
