@@ -27,7 +27,8 @@ and so it is with the lengths ``sqrt(d^2 + eps^2) - eps <= d``. Projecting on th
 shortens all lengths, so that the least value is taken there; from any point ``x`` with gradient ``g`` it is at least
 ``y(x)`` minus the sum over nodes of the largest ``g . (x - c)`` over the corners ``c`` of the hull.
 
-**What is not proven**: the geometry of each topology that is not cut off is optimised locally, from the least ``y``.
+**What is not proven**: the geometry of each topology that is not cut off is optimised locally, from the least ``y``;
+that of the best ones once more, with terminals held at their shortest length by multipliers.
 """
 
 from __future__ import annotations
@@ -36,17 +37,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from generator.geometry.optimise import optimise
+from generator.geometry.problem import Physics, Problem
 from generator.growth.root_tree import RootTree
 from generator.haemodynamics import Perfusion, perfused_tree
 from generator.topology import _exhaustive_kernels as kernels
 from generator.topology._relax_kernels import polish
-from generator.topology.state import SearchTree
-from vascval.core.errors import InputError
+from generator.topology.state import SHORTEST_MM, SearchTree
+from vascval.core.errors import ComputationError, InputError
 from vascval.core.tree import Topology, Tree
 
 MOST = 10
 """Terminals beyond which the search is refused; each takes about ten times longer than the one before."""
 _SAME = 1e-9
+_CLOSE = 1e-3
+"""Trees within this of the least volume are optimised once more."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +83,7 @@ def optimal_tree(root_mm: np.ndarray, terminals_mm: np.ndarray, perfusion: Perfu
     up = np.full(2 * len(terminals), -1, np.int64)
     up[1] = 0
     search.extend(up, 1)
-    assert search.best is not None
-    parent, position = search.best
-    tree = perfused_tree(Topology(parent), position, perfusion)
+    tree = search.best_tree()
     count = int(np.prod(np.arange(1, 2 * len(terminals) - 2, 2)))
     return Optimum(tree, count, search.n_bounded, search.n_optimised)
 
@@ -102,7 +105,7 @@ class _Search:
         n_terminals = len(points) - 1
         flow = perfusion.flow_mm3_s / n_terminals
         self.scale = np.pi * np.sqrt(perfusion.kappa_pa_s * flow / perfusion.pressure_drop_pa)
-        self.best: tuple[np.ndarray, np.ndarray] | None = None
+        self.found: list[tuple[float, np.ndarray, np.ndarray]] = []
         self.volume = np.inf
         self.n_bounded = self.n_optimised = 0
 
@@ -134,5 +137,24 @@ class _Search:
         tree = SearchTree(parent, position, self.root_tree, self.perfusion)
         cost = polish(tree.state, tree.flat, 0.3 * self.size_mm, 1e-7 * self.size_mm, 1e-6)
         self.n_optimised += 1
-        if tree.volume_mm3(cost) < self.volume:
-            self.volume, self.best = tree.volume_mm3(cost), tree.arrays()
+        volume = tree.volume_mm3(cost)
+        if volume < (1.0 + _CLOSE) * self.volume:
+            self.volume = min(self.volume, volume)
+            self.found.append((volume, *tree.arrays()))
+
+    def best_tree(self) -> Tree:
+        """The best of the trees that came close to the least volume, their geometry optimised once more."""
+        close = [(parent, at) for volume, parent, at in self.found if volume < (1.0 + _CLOSE) * self.volume]
+        trees = [settled(perfused_tree(Topology(parent), at, self.perfusion), self.perfusion) for parent, at in close]
+        return min(trees, key=lambda tree: tree.volume_mm3)
+
+
+def settled(tree: Tree, perfusion: Perfusion) -> Tree:
+    """The tree with the geometry of the reduced-space optimum where there is one that is better: the search keeps
+    terminals at their shortest length by pushing bifurcations back, which may stop short of it."""
+    problem = Problem(tree.topology, tree.position_mm, perfusion, Physics(l_min_mm=SHORTEST_MM))
+    try:
+        solved = optimise(problem, contract=False, splitting=False).tree
+    except ComputationError:
+        return tree
+    return min(tree, solved, key=lambda each: each.volume_mm3)
