@@ -125,6 +125,24 @@ def test_orders_and_generations(table: pd.DataFrame) -> None:
     assert rows["total_length_mm"].tolist() == [9.0, 10.0]
 
 
+def test_the_root_segment_alone_has_the_highest_order() -> None:
+    parent = np.array([-1, 0, 1, 1])
+    position = np.array([[0, 0, 0], [0, 0, 5], [1, 0, 5], [0, 2, 5.0]])
+    tree = Tree(Topology(parent), position, np.array([0, 2.0, 0.5, 0.7]))
+    order = strahler_order(tree.topology)
+    elements = orders.element_table(tree, order)
+    segments = pd.DataFrame(
+        {
+            "radius_mm": tree.radius_mm[1:], "length_mm": tree.length_mm[1:], "tortuosity": [1.0, 2.0, 3.0],
+            "length_to_diameter": [1.0, 2.0, 3.0],
+        }
+    )  # fmt: skip
+    found = orders.order_table("strahler", order, segments, elements)
+    assert found["n_segments"].tolist() == [2, 1]
+    assert found["radius_mean_mm"].tolist() == pytest.approx([0.6, 2.0])
+    assert found["length_mean_mm"].tolist() == [1.5, 5.0]
+
+
 def test_horton_ratios_of_exact_series() -> None:
     """Numbers fall by 4, radii rise by 1.5, lengths by 2; the highest order is off the line."""
     radius, length = [1, 1.5, 2.25, 9.0], [1, 2, 4, 5.0]
