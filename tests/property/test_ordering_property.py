@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -141,7 +143,7 @@ def test_a_bare_root() -> None:
 # --- diameter-defined orders ----------------------------------------------------------------------------------------
 
 
-def defined(topology: Topology, diameter: np.ndarray, rounds: int) -> list[int] | None:
+def defined(topology: Topology, diameter: np.ndarray, rounds: int, percent: float = 1.0) -> list[int] | None:
     """Diameter-defined orders in plain Python, by the words of the docstring; None when they do not settle."""
     segments = range(1, topology.n_nodes)
     order = {i: strahler(topology, i) for i in segments}
@@ -161,7 +163,7 @@ def defined(topology: Topology, diameter: np.ndarray, rounds: int) -> list[int] 
         changed = sum(new[i] != order[i] for i in segments)
         names = {old: k for k, old in enumerate(sorted(set(new.values())), start=1)}
         order = {i: names[new[i]] for i in segments}
-        if changed < 0.01 * len(segments):
+        if changed < percent / 100 * len(segments):
             stems = [order[i] for i in children(topology, 0)]
             return [max(stems), *(order[i] for i in segments)]
     return None
@@ -189,6 +191,37 @@ def test_orders_that_never_settle_are_refused() -> None:
     with pytest.raises(ComputationError, match="still change after 1 rounds"):
         # segment 2 has order 2 by Strahler and is the thinnest: it changes in the first round
         ordering.diameter_defined_order(topology, np.array([0, 3.0, 0.1, 1.0, 1.0, 1.0]), max_iterations=1)
+
+
+def test_two_hundred_rounds_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No tree is known that comes near; bounds that swing between two values settle never."""
+    swing = itertools.cycle([1.5, 3.5])
+    monkeypatch.setattr(ordering, "_upper_bounds", lambda *_: np.array([next(swing), np.inf]))
+    topology = Topology(np.array([-1, 0, 1, 1]))
+    with pytest.raises(ComputationError, match=r"still change after 200 rounds \(last: 1 of 3 segments\)"):
+        ordering.diameter_defined_order(topology, np.array([0, 5.0, 2.0, 1.0]))
+
+
+@pytest.mark.parametrize(("seed", "leaves", "settles"), [(1, 51, False), (5, 101, True)])
+def test_less_than_one_vessel_in_a_hundred(seed: int, leaves: int, settles: bool) -> None:
+    """Of 100 segments a single change is one too many, of 200 it is not; further rounds would end elsewhere."""
+    rng = np.random.default_rng(seed)
+    parent, ends = [-1, 0, 0], [1, 2]
+    while len(ends) < leaves:
+        k = ends.pop(int(rng.integers(len(ends))))
+        parent += [k, k]
+        ends += [len(parent) - 2, len(parent) - 1]
+    topology = Topology(np.array(parent))
+    thick = ordering.n_terminals_below(topology) ** (1 / 3)
+    diameter = thick * np.exp(0.2 * rng.normal(size=topology.n_nodes))
+    assert topology.n_segments == (200 if settles else 100)
+    rules = [defined(topology, diameter, 200, percent) for percent in (1.0, 0.5, 1.01)]
+    assert (rules[0] == rules[1], rules[0] == rules[2]) == (not settles, settles)
+    assert ordering.diameter_defined_order(topology, diameter).tolist() == rules[0]
+
+
+def test_orders_without_gaps() -> None:
+    assert ordering._without_gaps(np.array([9, 5, 1, 3, 5])).tolist() == [0, 3, 1, 2, 3]
 
 
 def test_bounds_between_orders_by_hand() -> None:
