@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cli_files import contents, write_nrrd
 
+from generator.topology.annealing import Annealing
 from vascval.cli import twin_parts
 from vascval.cli.main import main
 from vascval.io import schemas
@@ -251,3 +252,31 @@ def test_configurations_refuse_every_key_that_the_twin_decides():
     for key in twin_parts._DECIDED:
         with pytest.raises(Exception, match=f"{key} is decided by the twin"):
             twin_parts.configurations([f"{key}=x"])
+
+
+@pytest.mark.usefixtures("unreported")
+def test_an_interrupted_twin_goes_on_from_its_checkpoint_to_the_same_trees(tmp_path, cast_file, monkeypatch, capsys):
+    twin(cast_file, "-o", tmp_path / "whole")
+    assert not (tmp_path / "whole.checkpoint").exists()
+
+    run, count = Annealing._block, 0
+
+    def stopped(self):
+        nonlocal count
+        count += 1
+        if count == 4:
+            raise KeyboardInterrupt
+        return run(self)
+
+    monkeypatch.setattr(Annealing, "_block", stopped)
+    out = tmp_path / "twin"
+    twin(cast_file, "-o", out, "--checkpoint-every", 0, code=130)
+    assert not out.exists() and (tmp_path / "twin.checkpoint").exists()
+    twin(cast_file, "-o", out, code=2)
+    assert "go on from it with --resume, or remove it" in capsys.readouterr().err
+    twin(cast_file, "-o", out, "--resume", tmp_path / "twin.checkpoint", "--set", "seed=7", code=2)
+    assert "seed is" in capsys.readouterr().err
+    twin(cast_file, "-o", out, "--resume", tmp_path / "twin.checkpoint")
+    assert not (tmp_path / "twin.checkpoint").exists()
+    for name in ("cco.vtp", "optimised.vtp"):
+        assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

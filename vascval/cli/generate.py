@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from vascval.cli import sources
-from vascval.cli.console import note, say, table, write_json
+from vascval.cli.console import note, progress, say, table, write_json
 from vascval.cli.keeping import Keeping, grow
 from vascval.cli.options import json_option
 from vascval.core.errors import InputError, VascvalError
@@ -107,7 +107,8 @@ def generate(
     if history is not None:
         _check_history(run, history)
     had = output.exists()
-    interrupted = grow(run, keeping)
+    with progress() as observer:
+        interrupted = grow(run, keeping, observer)
     if interrupted is not None and had:
         note(f"interrupted at {run.growth.n_grown:,} terminals; {output} is left as it was")
         raise interrupted

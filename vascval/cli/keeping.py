@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vascval.cli import sources
-from vascval.cli.console import note, progress
+from vascval.cli.console import Observer, note
 from vascval.cli.interruption import held_back
 from vascval.core.errors import InputError
 
@@ -34,14 +34,12 @@ class Keeping:
         """
         from generator import checkpoint
 
-        if resume is not None:
-            state = checkpoint.read(resume, self.origin)
-            with sources.about(resume):
-                self.run.restore(state)
-        elif self.path.exists():
-            raise InputError(
-                f"{self.path}: is the checkpoint of an interrupted run; go on from it with --resume, or remove it"
-            )
+        if resume is None:
+            check_is_free(self.path)
+            return
+        state = checkpoint.read(resume, self.origin)
+        with sources.about(resume):
+            self.run.restore(state)
 
     def write(self) -> bool:
         """Write it now. A disk that is full does not end the run: the last checkpoint stays, and a note is made."""
@@ -65,11 +63,17 @@ class Keeping:
         self.path.unlink(missing_ok=True)
 
 
-def grow(run: Run, keeping: Keeping) -> KeyboardInterrupt | None:
+def check_is_free(path: Path) -> None:
+    """Refuses to overwrite a checkpoint."""
+    if path.exists():
+        raise InputError(f"{path}: is the checkpoint of an interrupted run; go on from it with --resume, or remove it")
+
+
+def grow(run: Run, keeping: Keeping, observer: Observer | None) -> KeyboardInterrupt | None:
     """Runs all stages; an interruption ends them once something has grown, and is returned."""
     steps = run.steps()
     at_step = False
-    with progress() as observer, held_back(unless=lambda: run.settled or not run.growth.begun) as held:
+    with held_back(unless=lambda: run.settled or not run.growth.begun) as held:
         try:
             for name, step in steps:
                 at_step = True

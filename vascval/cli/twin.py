@@ -18,6 +18,7 @@ from vascval.core.errors import InputError
 
 if TYPE_CHECKING:
     from generator.config import Config
+    from vascval.cli import twin_parts as parts
 
 _LENGTH = click.FloatRange(min=0, min_open=True)
 
@@ -50,7 +51,9 @@ Examples:
 \b
 DIR holds the report (report.html opens offline; figures/, tables/, report.json), the
 three trees as cast.vtp, cco.vtp and optimised.vtp, and the perfusion volume as
-domain.nrrd (or as the surface that was given).
+domain.nrrd (or as the surface that was given). Ctrl-C leaves a checkpoint beside DIR:
+  vascval twin cast.nrrd -o twin --resume twin.checkpoint
+It is removed when all is done.
 """,
 )
 @click.argument("cast", type=click.Path(path_type=Path))
@@ -82,6 +85,18 @@ domain.nrrd (or as the surface that was given).
     help="Change a key of the portal-vein preset, such as seed=7, n_terminals=500 or perfusion.flow_ml_min=800; may "
     "be repeated.  [default of n_terminals: as many as the cast has]",
 )  # fmt: skip
+@click.option(
+    "--checkpoint", type=click.Path(path_type=Path), metavar="FILE",
+    help="Where the optimised tree is kept while it is made.  [default: DIR.checkpoint, beside DIR]",
+)  # fmt: skip
+@click.option(
+    "--checkpoint-every", "every_s", type=click.FloatRange(min=0), default=60.0, metavar="SECONDS",
+    help="How often.  [default: 60]",
+)  # fmt: skip
+@click.option(
+    "--resume", type=click.Path(path_type=Path), metavar="FILE",
+    help="Go on from this checkpoint; give the same cast and options. What came before is done again, which is quick.",
+)  # fmt: skip
 @json_option
 @volume_options
 @unit_option
@@ -93,6 +108,9 @@ def twin(
     hull_margin_mm: float | None,
     root_generations: int,
     changes: tuple[str, ...],
+    checkpoint: Path | None,
+    every_s: float,
+    resume: Path | None,
     json_file: str | None,
     selection: Selection,
     unit: str | None,
@@ -107,12 +125,17 @@ def twin(
     from vascval.io.atomic import atomic_directory
 
     wishes = Wishes(domain, hull_radius_mm, hull_margin_mm, root_generations, changes)
+    kept = parts.Kept(checkpoint or resume or directory.with_name(f"{directory.name}.checkpoint"), every_s, resume)
     _check(cast, directory, json_file, wishes, selection)
+    kept.check()
     configs = parts.configurations(changes)
     with progress() as observer, atomic_directory(directory) as work:
         measured = sources.measure(cast, cast.name, selection, unit, observer)
         with sources.about(cast):
-            document = _twin(cast, measured, wishes, configs, work, observer, {**selection.config(), "unit": unit})
+            document = _twin(
+                cast, measured, wishes, configs, kept, work, observer, {**selection.config(), "unit": unit}
+            )
+    kept.end()
     if json_file != "-":
         say(comparison_tables(document))
         say(f"\nreport: {directory / 'report.html'}")
@@ -149,6 +172,7 @@ def _twin(
     measured: Measured,
     wishes: Wishes,
     configs: Mapping[str, Config],
+    kept: parts.Kept,
     work: Path,
     observer: Observer | None,
     chosen: Mapping[str, Any],
@@ -175,7 +199,7 @@ def _twin(
     cast = analyze(start.cast, source=name, image=measured.analysis.image, **filled)
     given = parts.root_tree(cast.tree, wishes.root_generations) if wishes.root_generations else None
     placed = parts.placed(configs, wishes.changes, ground, start, cast.summary["n_terminals"], given)
-    runs = {name: parts.grown(name, config, observer) for name, config in placed.items()}
+    runs = {name: parts.grown(name, config, kept, observer) for name, config in placed.items()}
     trees = [analyze(run.tree(), source=name, **filled) for name, run in runs.items()]
     inputs = [path, *([] if wishes.domain is None else [wishes.domain])]
     outcome = Outcome(
