@@ -1,7 +1,8 @@
 """``python -m tests.branches [TEST ...]``: branch coverage of every room with the compiler off, kernels being Python.
 
 Prints for each room the share of branches taken and of lines and branches together, and below it the files of less than
-``--least`` percent. Exit code 1 where the whole falls short of that.
+``--least`` percent. ``--room ROOM`` measures that room alone, by its own tests in ``ROOMS`` unless others are given.
+Exit code 1 where the whole falls short of ``--least``.
 """
 
 from __future__ import annotations
@@ -17,6 +18,53 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = ["tests/unit", "tests/oracle", "tests/property", "tests/physics", "tests/regression", "tests/cli"]
+ROOMS = {
+    "vascval.core": [
+        "tests/unit/test_core.py", "tests/unit/test_core_refusals.py", "tests/property/test_ordering_property.py",
+    ],
+    "vascval.io": [
+        *(f"tests/unit/test_io_{name}.py" for name in (
+            "files", "foreign_trees", "fuzz_findings", "scans", "tree_refusals", "volume_refusals", "volumes",
+            "vtp_variants",
+        )),
+        "tests/unit/test_schemas.py", "tests/property/test_io_round_trips.py",
+    ],
+    "vascval.morphometry": [
+        *(f"tests/unit/test_morphometry_{name}.py" for name in ("invariance", "measures", "orders", "organs")),
+        "tests/property/test_measures_property.py", "tests/oracle/test_morphometry_oracles.py",
+    ],
+    "vascval.comparison": [
+        "tests/unit/test_comparison_compare.py", "tests/unit/test_perfusion_entry.py",
+        "tests/oracle/test_comparison_oracles.py",
+    ],
+    "generator": [
+        *(f"tests/unit/test_{name}.py" for name in (
+            "checkpoint", "generator_command", "generator_config", "generator_domains",
+        )),
+        "tests/property/test_haemodynamics_property.py",
+    ],
+    "generator.growth": [
+        "tests/unit/test_generator_growth.py", "tests/property/test_generator_property.py",
+        "tests/oracle/test_generator_oracles.py",
+    ],
+    "generator.geometry": [
+        *(f"tests/unit/test_geometry_{name}.py" for name in ("cases", "coincident", "refusals")),
+        "tests/property/test_geometry_property.py", "tests/oracle/test_geometry_oracles.py",
+    ],
+    "generator.topology": [
+        "tests/unit/test_topology_annealing.py", "tests/unit/test_topology_stage.py",
+        "tests/oracle/test_topology_oracles.py",
+    ],
+    "generator.ensemble": ["tests/unit/test_ensemble_plan.py", "tests/unit/test_ensemble_work.py"],
+    "vascval.imaging": [
+        *(f"tests/unit/test_{name}.py" for name in ("perfusion_volume", "phantoms", "rasterize", "skeletonize")),
+        "tests/oracle/test_imaging_oracles.py",
+    ],
+    "vascval.report": [
+        *(f"tests/unit/test_report_{name}.py" for name in ("page", "parts")), "tests/cli/test_cli_history.py",
+    ],
+    "vascval.cli": ["tests/cli"],
+}  # fmt: skip
 
 Files = dict[str, dict[str, float]]
 COUNTS = ("num_statements", "covered_lines", "num_branches", "covered_branches")
@@ -37,42 +85,35 @@ def shares(files: Files) -> tuple[float, float]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.branches", description=__doc__.splitlines()[0])
-    parser.add_argument("tests", nargs="*", default=TESTS, metavar="TEST", help=f"default: {' '.join(TESTS)}")
+    parser.add_argument("tests", nargs="*", metavar="TEST", help=f"default: {' '.join(TESTS)}")
+    parser.add_argument("--room", choices=ROOMS, metavar="ROOM", help=f"one of {', '.join(ROOMS)}")
     parser.add_argument("--seconds", type=float, default=20.0, help="CPU time after which a test is skipped (20)")
     parser.add_argument("--least", type=float, default=90.0, help="percent of the branches (90)")
     parser.add_argument("--json", type=Path, help="keep coverage.py's report here")
     given = parser.parse_args()
+    tests = given.tests or (ROOMS[given.room] if given.room else TESTS)
     with tempfile.TemporaryDirectory() as folder:
         environment = {
             **os.environ, "NUMBA_DISABLE_JIT": "1", "COVERAGE_FILE": f"{folder}/data",
             "BRANCHES_SECONDS": str(given.seconds),
         }  # fmt: skip
         python = [sys.executable, "-m"]
-        run = [
-            *python,
-            "coverage",
-            "run",
-            "-m",
-            "pytest",
-            "-q",
-            "-p",
-            "no:cacheprovider",
-            "-p",
-            "tests.branches.time_limit",
-        ]
-        subprocess.run([*run, *given.tests], cwd=ROOT, env=environment, check=False)
+        run = [*python, "coverage", "run", "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+        limited = [*run, "-p", "tests.branches.time_limit", *tests]
+        subprocess.run(limited, cwd=ROOT, env=environment, check=False)
         report = given.json or Path(folder, "report.json")
         subprocess.run([*python, "coverage", "json", "-q", "-o", str(report)], cwd=ROOT, env=environment, check=True)
         files: Files = {name: file["summary"] for name, file in json.loads(report.read_text())["files"].items()}
     rooms: dict[str, Files] = defaultdict(dict)
     for name, file in files.items():
-        rooms[room(name)][name] = file
+        if given.room in (None, room(name)):
+            rooms[room(name)][name] = file
     for title, part in sorted(rooms.items()):
         print("{:24} {:5.1f} % of branches, {:5.1f} % of lines and branches".format(title, *shares(part)))
         for name, file in sorted(part.items()):
             if file["num_branches"] and shares({name: file})[0] < given.least:
                 print(f"    {name:42} {shares({name: file})[0]:5.1f} %")
-    whole = shares(files)
+    whole = shares({name: file for part in rooms.values() for name, file in part.items()})
     print("{:24} {:5.1f} % of branches, {:5.1f} % of lines and branches".format("all", *whole))
     return 0 if whole[0] >= given.least else 1
 
