@@ -12,7 +12,7 @@ import click
 from vascval.cli import sources
 from vascval.cli.console import note, progress, say, table, write_json
 from vascval.cli.keeping import Keeping, grow
-from vascval.cli.options import json_option
+from vascval.cli.options import checkpoint_options, json_option
 from vascval.core.errors import InputError, VascvalError
 
 if TYPE_CHECKING:
@@ -47,18 +47,7 @@ The checkpoint is removed when the tree is done.
     "--set", "changes", multiple=True, metavar="KEY=VALUE",
     help="Change a key of the configuration, such as n_terminals=500 or domain.box_mm=90,70,16; may be repeated.",
 )  # fmt: skip
-@click.option(
-    "--checkpoint", type=click.Path(path_type=Path), metavar="FILE",
-    help="Where the run is kept while it lasts.  [default: TREE.vtp.checkpoint]",
-)  # fmt: skip
-@click.option(
-    "--checkpoint-every", "every_s", type=click.FloatRange(min=0), default=60.0, metavar="SECONDS",
-    help="How often.  [default: 60]",
-)  # fmt: skip
-@click.option(
-    "--resume", type=click.Path(path_type=Path), metavar="FILE",
-    help="Go on from this checkpoint; give the same configuration.",
-)  # fmt: skip
+@checkpoint_options("the run is kept while it lasts", "TREE.vtp.checkpoint", "give the same configuration.")
 @click.option(
     "--history", type=click.Path(path_type=Path), metavar="FILE",
     help="How the search for topologies went (method=full, its first chain): a table where FILE ends in .csv, a figure "

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import wraps
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
@@ -195,3 +196,23 @@ def unit_option(function: F) -> F:
         type=click.Choice(["mm", "um", "cm", "m"]),
         help="Length unit of tree files that do not state theirs.  [default: guessed, with a note]",
     )(function)
+
+
+def checkpoint_options(kept: str, default: str, resumed: str) -> Callable[[F], F]:
+    """``--checkpoint``, ``--checkpoint-every`` and ``--resume``: what is kept, where by default, what to give."""
+    path = click.Path(path_type=Path)
+    options = (
+        click.option("--checkpoint", type=path, metavar="FILE", help=f"Where {kept}.  [default: {default}]"),
+        click.option(
+            "--checkpoint-every", "every_s", type=click.FloatRange(min=0), default=60.0, metavar="SECONDS",
+            help="How often.  [default: 60]",
+        ),
+        click.option("--resume", type=path, metavar="FILE", help=f"Go on from this checkpoint; {resumed}"),
+    )  # fmt: skip
+
+    def decorate(function: F) -> F:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return decorate

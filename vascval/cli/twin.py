@@ -11,7 +11,7 @@ import click
 
 from vascval.cli import sources
 from vascval.cli.console import Observer, note, progress, say, write_json
-from vascval.cli.options import Selection, json_option, unit_option, volume_options
+from vascval.cli.options import Selection, checkpoint_options, json_option, unit_option, volume_options
 from vascval.cli.sources import Measured
 from vascval.cli.summary import comparison_tables
 from vascval.core.errors import InputError
@@ -85,18 +85,11 @@ It is removed when all is done.
     help="Change a key of the portal-vein preset, such as seed=7, n_terminals=500 or perfusion.flow_ml_min=800; may "
     "be repeated.  [default of n_terminals: as many as the cast has]",
 )  # fmt: skip
-@click.option(
-    "--checkpoint", type=click.Path(path_type=Path), metavar="FILE",
-    help="Where the optimised tree is kept while it is made.  [default: DIR.checkpoint, beside DIR]",
-)  # fmt: skip
-@click.option(
-    "--checkpoint-every", "every_s", type=click.FloatRange(min=0), default=60.0, metavar="SECONDS",
-    help="How often.  [default: 60]",
-)  # fmt: skip
-@click.option(
-    "--resume", type=click.Path(path_type=Path), metavar="FILE",
-    help="Go on from this checkpoint; give the same cast and options. What came before is done again, which is quick.",
-)  # fmt: skip
+@checkpoint_options(
+    "the optimised tree is kept while it is made",
+    "DIR.checkpoint, beside DIR",
+    "give the same cast and options. What came before is done again, which is quick.",
+)
 @json_option
 @volume_options
 @unit_option
