@@ -165,6 +165,7 @@ def test_horton_ratios_of_exact_series() -> None:
     assert orders.horton_table("x", table[:2])["n_orders"].tolist() == [2] * 3
 
 
+@pytest.mark.filterwarnings("error")
 def test_connectivity_by_hand() -> None:
     """Two elements of order 2 with three and one daughters of order 1; one of order 3 feeds both and one of order 1."""
     elements = pd.DataFrame({"order": [3, 2, 2, 1, 1, 1, 1, 1], "parent_element": [-1, 0, 0, 1, 1, 1, 2, 0]})
