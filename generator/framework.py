@@ -92,8 +92,9 @@ class Run:
         """Where the run stands, as copies."""
         record = {"stages": [asdict(stage) for stage in self.stages], "until": self._until, "searched": self._searched}
         arrays = with_prefix("growth", self.growth.state())
-        if self.topology.begun and not self._searched:
-            arrays |= with_prefix("topology", self.topology.state())
+        searching = self.topology.state() if self.topology.begun else self._searching
+        if searching is not None and not self._searched:
+            arrays |= with_prefix("topology", searching)
         return State(record, arrays)
 
     def restore(self, state: State) -> None:

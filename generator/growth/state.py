@@ -99,8 +99,8 @@ class GrowthState:
         return segment["parent"].copy(), np.column_stack([segment[name] for name in ("bx", "by", "bz")])
 
     def tree(self) -> Tree:
-        """What has grown so far, root first and perfused."""
-        parent, position = self.arrays()
+        """What has grown so far, root first and perfused; bifurcations in one place are one junction."""
+        parent, position = _joined(*self.arrays(), self.store.n_fixed)
         order = root_first(parent)
         rank = np.empty(order.size, np.int32)
         rank[order] = np.arange(order.size)
@@ -228,6 +228,17 @@ def _without(
     old = keep[order]
     above = np.concatenate(([-1], rank[np.searchsorted(keep, proximal[old[1:]])]))
     return above.astype(np.int32), position_mm[old]
+
+
+def _joined(parent: np.ndarray, position_mm: np.ndarray, n_fixed: int) -> tuple[np.ndarray, np.ndarray]:
+    """The tree without segments of length 0 between junctions, which a search for topologies leaves behind."""
+    inner = np.bincount(parent[1:], minlength=parent.size) > 0
+    fallen = inner & (position_mm == position_mm[parent]).all(axis=1) & (np.arange(parent.size) >= n_fixed)
+    proximal = parent.copy()
+    while (again := fallen[proximal] & (proximal >= 0)).any():
+        proximal[again] = parent[proximal[again]]
+    keep = np.flatnonzero(~fallen)
+    return np.where(proximal < 0, -1, np.searchsorted(keep, proximal))[keep], position_mm[keep]
 
 
 def _empty_stems(root_tree: RootTree, perfusion: Perfusion) -> Stems:

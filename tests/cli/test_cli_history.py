@@ -9,6 +9,7 @@ import pytest
 
 from generator.growth.growth import Growth
 from vascval.cli.main import main
+from vascval.core.errors import ComputationError
 from vascval.io import schemas
 from vascval.io.documents import plain
 from vascval.io.rows import SearchStepRow
@@ -102,6 +103,40 @@ def test_interrupted_before_the_search(tmp_path, monkeypatch, capsys):
     assert generate(tmp_path, FULL, "search.csv") == 130
     assert "the search has not begun, so" in capsys.readouterr().err
     assert not (tmp_path / "search.csv").exists()
+
+
+@pytest.mark.parametrize("writable", [True, False])
+def test_interrupted_in_the_search_goes_on_to_the_same_tree(tmp_path, monkeypatch, capsys, writable):
+    """Also where the tree so far cannot be written: the checkpoint is that of the last step."""
+    from generator.topology.annealing import Annealing
+    from vascval.io import trees
+
+    changes = (*FULL, "topology.chains=1")
+    assert generate(tmp_path, changes, "whole.csv") == 0
+    output = tmp_path / "tree.vtp"
+    whole = output.read_bytes()
+    output.unlink()
+    block = Annealing._block
+
+    def interrupted(chain):
+        step = block(chain)
+        if step.n_tests >= 1000:
+            signal.raise_signal(signal.SIGINT)
+        return step
+
+    def refused(*arguments, **options):
+        raise ComputationError("the disk is not to be had; get another")
+
+    monkeypatch.setattr(Annealing, "_block", interrupted)
+    if not writable:
+        monkeypatch.setattr(trees, "write_tree", refused)
+    assert generate(tmp_path, changes, "search.csv") == (130 if writable else 1)
+    monkeypatch.undo()
+    assert "go on from here with --resume" in capsys.readouterr().err
+    assert output.exists() == writable
+    assert generate(tmp_path, changes, "search.csv", "--resume", tmp_path / "tree.vtp.checkpoint") == 0
+    assert output.read_bytes() == whole
+    assert (tmp_path / "search.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
 def long_history(count):

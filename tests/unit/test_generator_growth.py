@@ -13,6 +13,7 @@ from generator.growth.root_tree import RootTree
 from generator.haemodynamics import Perfusion
 from vascval.core.errors import ComputationError, InputError
 from vascval.core.tree import Topology, Tree
+from vascval.core.validation import Claims, require_made_well
 from vascval.io.volumes import read_volume
 from vascval.morphometry.overlaps import overlapping_pairs
 
@@ -124,9 +125,7 @@ def test_spread_order_is_a_permutation_and_saves_volume():
         points = terminals_of(run(growth_of(500, seed=seed)))
         order = spread_order(points, CORNER, order_rng)
         assert np.array_equal(np.sort(order), np.arange(500))
-        shuffled = [
-            run(growth_of(500, terminals=points[order_rng.permutation(500)])).volume_mm3 for _ in range(4)
-        ]
+        shuffled = [run(growth_of(500, terminals=points[order_rng.permutation(500)])).volume_mm3 for _ in range(4)]
         gains.append(run(growth_of(500, terminals=points[order])).volume_mm3 / np.mean(shuffled))
     assert 0.9 < np.mean(gains) < 1.0
 
@@ -246,3 +245,23 @@ def test_nothing_leaves_a_real_liver(shared_data):
     tree = run(growth_of(2000, domain=domain, law=PORTAL, root=np.array([119.7, 124.26, 121.6])))
     assert domain.contains(samples_along(tree, 0.1)).all()
     assert tree.topology.n_terminals == 2000
+
+
+@pytest.mark.parametrize("n_fallen", [1, 3])
+def test_bifurcations_in_one_place_are_one_junction(n_fallen):
+    """As a search for topologies leaves them: written as they are, they would be segments of length 0."""
+    growth = growth_of(30)
+    run(growth)
+    parent, position = growth.snapshot()
+    inner = np.bincount(parent[1:], minlength=parent.size) > 0
+    fallen: list[int] = []
+    for node in np.flatnonzero(inner)[2:]:  # root first: a row of them falls as one
+        if len(fallen) < n_fallen and (not fallen or parent[node] == fallen[-1]):
+            fallen.append(int(node))
+            position[node] = position[parent[node]]
+    assert len(fallen) == n_fallen
+    growth.put(parent, position)
+    tree = growth.tree()
+    assert tree.n_segments == 59 - n_fallen and tree.topology.n_children.max() == 2 + n_fallen
+    assert tree.volume_mm3 == pytest.approx(growth.volume_mm3, rel=1e-12)
+    require_made_well(tree, Claims(LAW.gamma, equal_pressure=True))

@@ -48,3 +48,21 @@ def test_interrupted_search_keeps_what_it_found():
     assert found is not None
     # the volume shown is that of the best tree at that step; the other chain may have found a better one since
     assert 0.9 * found < run.tree().volume_mm3 < found * (1.0 + 1e-9)
+
+
+def test_a_state_taken_before_a_resumed_search_goes_on_holds_the_search():
+    changes = ["n_terminals=30", "method=full", "topology.tests=2000"]
+    run = Run.of(load("karch-box", changes))
+    for name, step in run.steps():
+        if name == "topology" and step.n_terminals >= 1000:
+            break
+    state = run.state()
+    resumed = Run.of(load("karch-box", changes))
+    resumed.restore(state)
+    name, _ = next(resumed.steps())
+    assert name == "growth"
+    again = resumed.state().arrays
+    searched = [key for key in state.arrays if key.startswith("topology")]
+    assert searched
+    for key in searched:
+        np.testing.assert_array_equal(again[key], state.arrays[key])

@@ -104,7 +104,8 @@ def generate(
     try:
         _write(run, output, origin, history, json_file)
     except VascvalError:
-        keeping.write()
+        if interrupted is None:  # else it is written, and the run was left off since: not where to go on from
+            keeping.write()
         raise
     if interrupted is not None:
         note(f"interrupted at {run.growth.n_grown:,} terminals; they are in {output}")
