@@ -68,12 +68,14 @@ def comparison_tables(document: Mapping[str, Any]) -> str:
     sides = [document["cast"], *document["trees"]]
     names = [side["source"] for side in sides]
     measured = {name: side for name, side in zip(names, sides) if "summary" in side}
-    lines = [
-        f"{place['tree']}: {names[0]} is matched down to generation {place['matched_down_to_generation']} "
-        f"(within {_number(place['tolerance_mm'])} mm or the local radius)"
-        for place in document["location"]
-    ]
+    lines = [_matched(names[0], place) for place in document["location"]]
     return "\n\n".join([totals_table(measured), _by_generation(names, sides), *(["\n".join(lines)] if lines else [])])
+
+
+def _matched(cast: str, place: Mapping[str, Any]) -> str:
+    down_to = place["matched_down_to_generation"]
+    depth = f"{cast} is matched down to generation {down_to}" if down_to else f"no generation of {cast} is matched"
+    return f"{place['tree']}: {depth} (within {_number(place['tolerance_mm'])} mm or the local radius)"
 
 
 def _by_generation(names: Sequence[str], sides: Sequence[Mapping[str, Any]]) -> str:
