@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -15,16 +16,18 @@ FROM_DEMO = ("overlay.png", "n-segments.png", "radius-mean.png", "branching-rati
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
-        run("vascval", "demo", "--quiet", "-o", work / "demo")
+        run("demo", "--quiet", "-o", work / "demo")
         for picture in FROM_DEMO:
             shrink(work / "demo" / "figures" / picture, HERE / picture)
-        run("vascval", "generate", "karch-box", "--quiet", "--set", "n_terminals=2000", "-o", work / "box.vtp")
-        run("vascval", "view", work / "box.vtp", "--screenshot", work / "box.png")
+        run("generate", "karch-box", "--quiet", "--set", "n_terminals=2000", "-o", work / "box.vtp")
+        run("view", work / "box.vtp", "--screenshot", work / "box.png")
         shrink(work / "box.png", HERE / "box.png")
 
 
 def run(*words: str | Path) -> None:
-    subprocess.run([str(word) for word in words], check=True, stdout=subprocess.DEVNULL)
+    """The command line, of this Python."""
+    program = [sys.executable, "-m", "vascval.cli"]
+    subprocess.run([*program, *(str(word) for word in words)], check=True, stdout=subprocess.DEVNULL)
 
 
 def shrink(source: Path, target: Path, *, width: int = 1000) -> None:
