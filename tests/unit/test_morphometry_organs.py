@@ -69,6 +69,10 @@ def test_the_report_says_where_and_with_what_caveat():
     number = rows[(rows["quantity"] == "number") & rows["ratio"].notna()]
     assert f"Number ratio above that of {(number['ratio'] < 3).sum()} of {len(number)} organs" in words
     assert "no pass mark" in CAVEAT
+    none = organ_section._standing(rows.assign(tree_ratio=rows["tree_ratio"] / 100))
+    assert f"Number ratio not above that of any of {len(number)} organs" in none
+    every = organ_section._standing(rows.assign(tree_ratio=rows["tree_ratio"] * 100))
+    assert f"Number ratio above that of any of {len(number)} organs" in every
 
 
 def test_one_order_has_no_ratio_and_stands_nowhere():

@@ -31,6 +31,12 @@ def test_measure(value, text):
     assert formats.measure(value) == text
 
 
+def test_a_spread_that_is_rounding_is_none():
+    assert formats.spread(2.5, 2.6e-16) == "2.50 ± 0"
+    assert formats.spread(0.0, 2.6e-16) == f"0 ± 2.6{S}×{S}10⁻¹⁶"
+    assert formats.spread(2.5, 0.013) == "2.50 ± 0.013"
+
+
 @pytest.mark.parametrize(
     ("form", "value", "text"),
     [

@@ -37,6 +37,8 @@ def totals(ensemble: Ensemble, folder: Path) -> list[Picture]:
                     axes.plot(np.full(one.size, k), one, ".", color=INK, markersize=3, alpha=0.6)
                 axes.set(ylabel=unit, xlim=(-0.7, len(cases) - 0.3))
                 axes.set_xticks([])
+                if unit == "number":
+                    whole_ticks(axes.yaxis)
 
             name = f"ensemble-{column.removesuffix('_mm').removesuffix('_mm3').replace('_', '-')}{part}"
             pictures.append(panel(folder, name, title, _said(title, cases, values), draw, legend=_legend(cases)))

@@ -44,9 +44,11 @@ def measure(value: Any, digits: int = 3) -> str:
 
 
 def spread(mean: Any, sd: Any) -> str:
-    """A mean to three digits and its standard deviation, or error, to two."""
+    """A mean to three digits and its standard deviation, or error, to two; one that is rounding counts as none."""
     if missing(mean) or missing(sd):
         return measure(mean)
+    if float(sd) < 1e-12 * abs(float(mean)):
+        sd = 0.0
     return f"{measure(mean)} ± {measure(sd, 2)}"
 
 

@@ -39,9 +39,11 @@ def _standing(rows: pd.DataFrame) -> str:
             continue
         above = int((known["tree_ratio"] > known["ratio"]).sum())
         low, high = known["ratio"].min(), known["ratio"].max()
-        said.append(
-            f"{name} above that of {above} of {len(known)} organs, which go from {measure(low)} to {measure(high)}"
-        )
+        if above in (0, len(known)):
+            place = f"{'above' if above else 'not above'} that of any of {len(known)} organs"
+        else:
+            place = f"above that of {above} of {len(known)} organs"
+        said.append(f"{name} {place}, which go from {measure(low)} to {measure(high)}")
     text = "; ".join(said)
     return text[0].upper() + text[1:] + "."
 

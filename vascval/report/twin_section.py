@@ -80,7 +80,7 @@ def _pictures(subject: Subject, given: Twin, figures: Path) -> list[Picture]:
     pictures = []
     for k, (layer, (side, _)) in enumerate(zip(layers, subject.measured, strict=True)):
         path = figures / f"twin-{k}.png"
-        draw(path, [layer], surface=given.surface, seen=seen)
+        draw(path, [layer], surface=given.surface, seen=seen, text=1.8)
         alt = f"{side.label} as tubes in the perfusion volume, {seen.words}"
         pictures.append(Picture(path.stem, alt, path.read_bytes(), "image/png"))
     return pictures

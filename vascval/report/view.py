@@ -81,11 +81,13 @@ def can_render() -> bool:
 
 
 def write_picture(
-    path: Path, layers: Sequence[Tubes], *, surface: Surface | None = None, seen: Viewpoint | None = None
-) -> str:
+    path: Path, layers: Sequence[Tubes], *, surface: Surface | None = None, seen: Viewpoint | None = None,
+    text: float = 1.0,
+) -> str:  # fmt: skip
     """A PNG of the tubes and the translucent surface in parallel projection; returns the view in words.
 
-    ``seen``: from where, if not from the flattest side of what is drawn.
+    ``seen``: from where, if not from the flattest side of what is drawn. ``text``: its size, larger where the picture
+    will be shown small.
 
     :raises ComputationError: when VTK cannot draw on this machine.
     """
@@ -101,13 +103,14 @@ def write_picture(
     figure, axes = _frame(seen)
     half_w, half_h = _shown(seen)
     axes.imshow(pixels, extent=(-half_w, half_w, -half_h, half_h), interpolation="none", aspect="auto")
-    _finish(path, figure, axes, layers, surface)
+    _finish(path, figure, axes, layers, surface, text)
     return seen.words
 
 
 def write_flat_picture(
-    path: Path, layers: Sequence[Tubes], *, surface: Surface | None = None, seen: Viewpoint | None = None
-) -> str:
+    path: Path, layers: Sequence[Tubes], *, surface: Surface | None = None, seen: Viewpoint | None = None,
+    text: float = 1.0,
+) -> str:  # fmt: skip
     """The same picture without VTK: projected tubes of true width, nearest last, and the surface as a shadow."""
     from matplotlib.collections import LineCollection
 
@@ -125,7 +128,7 @@ def write_flat_picture(
         lines = list(np.stack((start, end), axis=1))
         drawn = LineCollection(lines, linewidths=width, colors=layer.series.colour, capstyle="round")
         axes.add_collection(drawn, autolim=False)
-    _finish(path, figure, axes, layers, surface)
+    _finish(path, figure, axes, layers, surface, text)
     return seen.words
 
 
@@ -199,7 +202,7 @@ def _frame(seen: Viewpoint) -> tuple[Any, Any]:
     return figure, axes
 
 
-def _finish(path: Path, figure: Any, axes: Any, layers: Sequence[Tubes], surface: Surface | None) -> None:
+def _finish(path: Path, figure: Any, axes: Any, layers: Sequence[Tubes], surface: Surface | None, text: float) -> None:
     """Add a foot with legend and scale bar and write the file."""
     from matplotlib import rc_context
     from matplotlib.lines import Line2D
@@ -215,8 +218,8 @@ def _finish(path: Path, figure: Any, axes: Any, layers: Sequence[Tubes], surface
     with rc_context(rc()), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=r"Glyph .* missing")
         figure.add_artist(Line2D(ends, (y, y), color=INK, linewidth=2.0, solid_capstyle="butt"))
-        figure.text(sum(ends) / 2.0, y, f"{bar:g} mm", ha="center", va="bottom", fontsize=8.5, color=INK)
+        figure.text(sum(ends) / 2.0, y, f"{bar:g} mm", ha="center", va="bottom", fontsize=8.5 * text, color=INK)
         rows = -(-len(handles) // 4)
-        figure.legend(handles=handles, loc="lower left", ncols=-(-len(handles) // rows), fontsize=8.0)
+        figure.legend(handles=handles, loc="lower left", ncols=-(-len(handles) // rows), fontsize=8.0 * text)
         with atomic_file(path) as temporary:
             figure.savefig(temporary, format="png", metadata={"Software": None})
