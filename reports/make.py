@@ -108,12 +108,12 @@ number beside ours and the reason where they differ. All pages, tables, figures 
 python -m reports.make
 ```
 
-which takes about a quarter of an hour of processor time; `python -m reports.make --small` runs everything on tiny trees in
+which takes a quarter of an hour of processor time; `python -m reports.make --small` runs everything on tiny trees in
 seconds. The paper states few numbers, and the values behind its figures are not available: where a page has no
 number of the paper, it says what the paper describes in words.
 
-In all pictures of vessels colour is radius, on one scale, unless trees are laid over each other: then red is
-before, green after, as in the paper (and purple the third)."""
+In all pictures of vessels colour is radius, on one scale, unless trees are laid over each other: then the colours are
+the paper's, red, green and purple, and each picture names what they stand for."""
 
 
 if __name__ == "__main__":
