@@ -13,10 +13,11 @@ if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
     import numpy as np
 
     from generator.growth import _records
+    from generator.topology import _state_kernels
 
     # fields of a record are its attributes in compiled code; in plain Python those of numpy.record alone are
-    for _name in ("SEGMENT", "VISIT"):
-        setattr(_records, _name, np.dtype((np.record, getattr(_records, _name))))
+    for _module, _name in ((_records, "SEGMENT"), (_records, "VISIT"), (_state_kernels, "NODE")):
+        setattr(_module, _name, np.dtype((np.record, getattr(_module, _name))))
 
 
 def shared_data(*parts: str) -> Path:
