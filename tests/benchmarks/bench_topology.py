@@ -62,7 +62,7 @@ def tests(
     annealed(grown(BOX.sample(20, np.random.default_rng(1)), CORNER, np.arange(20)), 1, tests=100)  # compiles
     for name in names:
         if not (TERMINALS / f"{name}.csv").exists():
-            rows.append([name, "terminals not there", *[""] * 7])
+            rows.append([name, "terminals not there", *[""] * 9])
             continue
         root, points = terminals(name, largest)
         grows = [grown(points, root, np.random.default_rng(order).permutation(len(points))) for order in orders]
