@@ -11,7 +11,7 @@ import numpy as np
 
 from generator._domain_kernels import segment_inside
 from generator.topology._estimate_kernels import estimate_graft, estimate_swap
-from generator.topology._move_kernels import graft, may_graft, may_swap, settle, swap
+from generator.topology._move_kernels import first_place, graft, may_graft, may_swap, settle, swap
 from generator.topology._relax_kernels import relax, relax_near
 from generator.topology._state_kernels import begin, climb, descend, find_paths, long_enough, slope_at, sweep, undo
 from vascval.core.jit import njit
@@ -144,11 +144,7 @@ def try_graft(state, s, t):
     r, u = state.node[t], state.node[state.node[t].parent]
     e = state.node[s]
     d_rho, d_v = r.d_rho, r.d_v
-    dx, dy, dz = u.x - r.x, u.y - r.y, u.z - r.z
-    along = ((e.x - r.x) * dx + (e.y - r.y) * dy + (e.z - r.z) * dz) / max(r.length * r.length, 1e-300)
-    along = min(max(along, 0.1), 0.9)
-    x, y, z = r.x + along * dx, r.y + along * dy, r.z + along * dz
-    low = graft(state, s, t, x + (e.x - x) / 3.0, y + (e.y - y) / 3.0, z + (e.z - z) / 3.0)
+    low = graft(state, s, t, *first_place(r, u, e))
     settle(state, e.parent, d_rho, d_v, 3)
     find_paths(state, low, e.parent)
     return low, e.parent, climb(state)

@@ -6,7 +6,7 @@ slopes of the last sweep stand for the rest of the tree. Most tests are settled 
 
 import numpy as np
 
-from generator.topology._move_kernels import fermat_of, is_below, sibling
+from generator.topology._move_kernels import fermat_of, first_place, is_below, sibling
 from generator.topology._state_kernels import TINY, branch_power, child_slope, distance, joined
 from vascval.core.jit import njit
 
@@ -46,11 +46,7 @@ def fork(state, s, t, extra):
     r, e = state.node[t], state.node[s]
     u = state.node[r.parent]
     gamma = state.gamma
-    dx, dy, dz = u.x - r.x, u.y - r.y, u.z - r.z
-    along = ((e.x - r.x) * dx + (e.y - r.y) * dy + (e.z - r.z) * dz) / max(r.length * r.length, 1e-300)
-    along = min(max(along, 0.1), 0.9)
-    x, y, z = r.x + along * dx, r.y + along * dy, r.z + along * dz
-    x, y, z = x + (e.x - x) / 3.0, y + (e.y - y) / 3.0, z + (e.z - z) / 3.0
+    x, y, z = first_place(r, u, e)
     n = r.n + extra
     n_r = n - e.n
     aa = r.a * r.a

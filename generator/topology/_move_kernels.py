@@ -118,6 +118,16 @@ def may_graft(state, s, t):
 
 
 @njit
+def first_place(r, u, e):
+    """Where a bifurcation on the segment from ``u`` to ``r`` begins to be put right if ``e`` is to spring from it."""
+    dx, dy, dz = u.x - r.x, u.y - r.y, u.z - r.z
+    along = ((e.x - r.x) * dx + (e.y - r.y) * dy + (e.z - r.z) * dz) / max(r.length * r.length, 1e-300)
+    along = min(max(along, 0.1), 0.9)
+    x, y, z = r.x + along * dx, r.y + along * dy, r.z + along * dz
+    return x + (e.x - x) / 3.0, y + (e.y - y) / 3.0, z + (e.z - z) / 3.0
+
+
+@njit
 def graft(state, s, t, x, y, z):
     """Cut off segment ``s`` together with its proximal node, which is put at a point on segment ``t``.
 

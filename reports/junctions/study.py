@@ -18,19 +18,15 @@ TITLE = "Trifurcations and monopodial branches"
 FULL = {"n_terminals": 24_000, "topology": {}}
 SMALL = {"n_terminals": 80, "topology": {"topology__at": 40, "topology__tests": 500}}
 
+KEYS = (
+    "n_bifurcations", "n_trifurcations", "n_trifurcations_first_7", "n_multifurcations", "n_monopodial", "n_contracted",
+)  # fmt: skip
+
 
 def study(folder: Path, n_terminals: int, topology: Mapping[str, object]) -> Page:
     facts = Facts("junctions")
     sides = dict(zip(("growth alone", "optimised"), (measured(tree.tree) for tree in trees(n_terminals, topology))))
-    keys = (
-        "n_bifurcations",
-        "n_trifurcations",
-        "n_trifurcations_first_7",
-        "n_multifurcations",
-        "n_monopodial",
-        "n_contracted",
-    )
-    totals = pd.DataFrame([{"tree": name, **{key: side.summary[key] for key in keys}} for name, side in sides.items()])
+    totals = pd.DataFrame([{"tree": name, **{key: side.summary[key] for key in KEYS}} for name, side in sides.items()])
     write_csv(totals, folder / "table.csv")
     moves = sensitivity(sides)
     write_csv(moves, folder / "sensitivity.csv")
@@ -50,11 +46,28 @@ def study(folder: Path, n_terminals: int, topology: Mapping[str, object]) -> Pag
         f"{cco['n_monopodial']:,} to {best['n_monopodial']:,} by optimising, {ratio:.2f}-fold (paper "
         f"{papers:.2f}-fold)."
     )
-    running = sides["optimised"].generations["n_trifurcations"].cumsum()
+    return Page(
+        headline,
+        [
+            facts.compared("trifurcations of the cast", None),
+            facts.compared(
+                "trifurcations of the optimised tree in the first seven generations", best["n_trifurcations_first_7"]
+            ),
+            facts.compared("monopodial branches standard CCO", cco["n_monopodial"]),
+            facts.compared("monopodial branches optimised tree", best["n_monopodial"]),
+            Compared("monopodial branches, optimised over grown", papers, ratio, "", "section 3.2"),
+        ],
+        words(facts, sides["optimised"], first_7, totals, moves),
+    )
+
+
+def words(facts: Facts, optimised: Analysis, first_7: float, totals: pd.DataFrame, moves: pd.DataFrame) -> str:
+    """What the counts mean, and what they do not."""
+    running = optimised.generations["n_trifurcations"].cumsum()
     reached = int((running < first_7).sum())
     n_generations = len(running)
-    rule = sides["optimised"].parameters["monopodial"]
-    text = f"""
+    rule = optimised.parameters["monopodial"]
+    return f"""
 The trees of [the portal vein](../portal_vein/README.md). A trifurcation is a junction of three children after every
 segment shorter than its diameter is contracted, a rule applied to both trees: `n contracted` segments of the tree
 as grown are that short, so that even growth alone, which makes bifurcations only, has some when it is measured as a
@@ -78,19 +91,6 @@ which the number depends ([growth against one geometry programme](../one_program
 with the cast's
 {facts["trifurcations of the cast"]:.0f}, since how many an image shows depends on its resolution.
 """
-    return Page(
-        headline,
-        [
-            facts.compared("trifurcations of the cast", None),
-            facts.compared(
-                "trifurcations of the optimised tree in the first seven generations", best["n_trifurcations_first_7"]
-            ),
-            facts.compared("monopodial branches standard CCO", cco["n_monopodial"]),
-            facts.compared("monopodial branches optimised tree", best["n_monopodial"]),
-            Compared("monopodial branches, optimised over grown", papers, ratio, "", "section 3.2"),
-        ],
-        text,
-    )
 
 
 def sensitivity(sides: Mapping[str, Analysis]) -> pd.DataFrame:

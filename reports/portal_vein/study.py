@@ -84,11 +84,18 @@ the terminals, by the number ratio of its elements. Radii by
 generation move with the way the vessels are numbered too: where optimising shifts a vessel to another generation,
 the mean of both changes though no vessel became wider.
 """
-    compared = [
+    return Page(headline, compared(facts, n_generations, last, less, wider, ratio), text)
+
+
+def compared(
+    facts: Facts, n_generations: int, last_mm: float, less: float, wider: float, ratio: float
+) -> list[Compared]:
+    """Beside the paper: generations, mean radius of the last one, and percent by which optimising changes the rest."""
+    return [
         facts.compared("generations of the optimised tree (up to)", n_generations),
         facts.compared(
             "mean radius of the cast at generation 13",
-            last,
+            last_mm,
             f"mean radius at the last generation (cast: 13, here: {n_generations})",
         ),
         Compared("volume against growth alone", None, f"{-less:+.1f} %"),
@@ -103,7 +110,6 @@ the mean of both changes though no vessel became wider.
             "section 3.2",
         ),
     ]
-    return Page(headline, compared, text)
 
 
 def cast_table() -> ReferenceTable | None:

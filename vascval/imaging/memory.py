@@ -1,7 +1,7 @@
 """How much memory a skeletonisation takes, known before it is taken.
 
 Memory goes with the vessel voxels and not with the volume. The figures below are upper bounds of what the stages hold
-at once; ``python -m tests.benchmarks.bench_memory`` shows them beside what was taken.
+at once; ``python -m tests.benchmarks.bench_memory`` shows what was taken where they are the limit.
 """
 
 from __future__ import annotations
