@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 
@@ -15,12 +15,15 @@ from generator.topology.annealing import Annealing, AnnealingStep, anneal
 from vascval.core.errors import InputError
 from vascval.core.threads import threads
 
+_RECORDED = 10_000
+
 
 class TopologyStage:
     """What a configuration asks of the topology.
 
     Trees come and go as ``parent`` and ``position_mm`` with the root tree's nodes first. Viscosity counts as constant,
-    and the branching exponent as the same everywhere. ``history`` has the steps of the chain that was shown.
+    and the branching exponent as the same everywhere. ``history`` has the steps of the first chain; steps shorter than
+    a ten-thousandth of it are joined, so that it stays small however long the search.
     """
 
     def __init__(self, config: Config, domain: Domain, root_tree: RootTree, rng: np.random.Generator) -> None:
@@ -67,8 +70,16 @@ class TopologyStage:
         if resume is not None:
             self._restore(resume)
         for step in anneal(self._chains, threads()):
-            self.history.append(step)
+            self._record(step)
             yield step
+
+    def _record(self, step: AnnealingStep) -> None:
+        if self.history and step.n_tests <= self.history[-1].n_tests:
+            return  # of another chain: those follow the first one where there is one thread
+        before = self.history[-2].n_tests if len(self.history) > 1 else 0
+        if self.history and self.history[-1].n_tests - before < step.n_target / _RECORDED:
+            step = replace(step, n_accepted=step.n_accepted + self.history.pop().n_accepted)
+        self.history.append(step)
 
     def best(self) -> tuple[np.ndarray, np.ndarray]:
         """``parent`` and ``position_mm`` of the best tree found."""

@@ -66,3 +66,30 @@ def test_a_state_taken_before_a_resumed_search_goes_on_holds_the_search():
     assert searched
     for key in searched:
         np.testing.assert_array_equal(again[key], state.arrays[key])
+
+
+def searched():
+    run = Run.of(load("karch-box", ["n_terminals=30", "method=full", "topology.tests=2000"]))
+    list(run.steps())
+    return run.topology.history
+
+
+def test_history_is_that_of_the_first_chain_on_any_number_of_threads(monkeypatch):
+    histories = []
+    for count in ("1", "2"):
+        monkeypatch.setenv("VASCVAL_THREADS", count)
+        histories.append(searched())
+    assert histories[0] == histories[1]
+    tests = [step.n_tests for step in histories[0]]
+    assert tests == sorted(set(tests))
+    assert tests[-1] == 2000
+
+
+def test_history_stays_small_and_counts_what_was_accepted(monkeypatch):
+    whole = searched()
+    monkeypatch.setattr("generator.topology.stage._RECORDED", 5)
+    joined = searched()
+    assert len(joined) <= 6 < len(whole)
+    assert joined[-1].n_tests == whole[-1].n_tests
+    assert sum(step.n_accepted for step in joined) == sum(step.n_accepted for step in whole)
+    assert {(step.n_tests, step.volume_mm3) for step in joined} <= {(step.n_tests, step.volume_mm3) for step in whole}
