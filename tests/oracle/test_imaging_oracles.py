@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 from skimage.measure import euler_number
 
-from vascval.imaging import _geodesic_kernels, _thinning_kernels, graph, runs, voxels
+from vascval.imaging import _geodesic_kernels, _graph_kernels, _thinning_kernels, graph, runs, voxels
 from vascval.imaging.distance import distance_map
 from vascval.imaging.thinning import thin
 
@@ -165,6 +167,46 @@ def test_thinning_keeps_the_topology_and_loops_are_counted_right(mask: np.ndarra
     # in one piece without cavities the Euler number is 1 - number of tunnels
     assert len(joined.cuts) == 1 - euler
     assert len(joined.edges) == left.sum() - 1
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 10**6), st.integers(3, 14), st.floats(0.1, 0.9))
+def test_generators_of_loops_are_those_of_the_slow_closure(seed: int, n: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    pairs = [(i, j) for i in range(n) for j in range(i + 1, n) if j == i + 1 or rng.random() < share]
+    pairs = [pairs[k] for k in rng.permutation(len(pairs))]
+    known = {pair for pair in pairs if pair[1] == pair[0] + 1}
+    in_tree = np.array([pair in known for pair in pairs])
+    expected = []
+    while len(known) < len(pairs):
+        for i, j in pairs:
+            third = ({tuple(sorted((i, k))), tuple(sorted((j, k)))} <= known for k in range(n) if k not in (i, j))
+            if (i, j) not in known and any(third):
+                known.add((i, j))
+                break
+        else:
+            expected.append(next(k for k, pair in enumerate(pairs) if pair not in known))
+            known.add(pairs[expected[-1]])
+    a, b = np.array(pairs, dtype=np.int32).T.copy()
+    assert _graph_kernels.independent_loops(n, a, b, in_tree).tolist() == expected
+
+
+def test_many_loops_take_time_in_proportion() -> None:
+    def ladder_s(n: int) -> float:
+        """CPU seconds for a ladder of n rungs, of which the first alone is in the tree."""
+        foot = np.arange(n, dtype=np.int32)
+        a = np.concatenate((foot[:-1], n + foot[:-1], foot))
+        b = np.concatenate((foot[1:], n + foot[1:], n + foot))
+        in_tree = np.arange(a.size) <= 2 * (n - 1)
+        taken = []
+        for _ in range(5):
+            begin = time.process_time()
+            found = _graph_kernels.independent_loops(2 * n, a, b, in_tree)
+            taken.append(time.process_time() - begin)
+            assert found.size == n - 1
+        return min(taken)
+
+    assert ladder_s(128_000) < 4 * 32 * ladder_s(4_000)  # quadratic: 1,024 times
 
 
 @settings(deadline=None, max_examples=60)

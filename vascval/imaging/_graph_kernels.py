@@ -26,61 +26,98 @@ def skeleton_edges(voxel, number, lattice):
 
 
 @njit
+def incidence(n, a, b):
+    """Edges ``edge[first[i]:first[i + 1]]`` at each of ``n`` points, and the points at their ``other`` ends."""
+    first = np.zeros(n + 1, np.int64)
+    for e in range(a.size):
+        first[a[e] + 1] += 1
+        first[b[e] + 1] += 1
+    for i in range(n):
+        first[i + 1] += first[i]
+    fill = first[:-1].copy()
+    edge, other = np.empty(2 * a.size, np.int32), np.empty(2 * a.size, np.int32)
+    for e in range(a.size):
+        edge[fill[a[e]]], other[fill[a[e]]] = e, b[e]
+        fill[a[e]] += 1
+        edge[fill[b[e]]], other[fill[b[e]]] = e, a[e]
+        fill[b[e]] += 1
+    return first, edge, other
+
+
+@njit
 def independent_loops(n, a, b, in_tree):
     """Edges outside the spanning tree that close a loop which is not filled by triangles of adjacent voxels.
 
     The voxels that touch each other span a complex with the homotopy of their union (nerve theorem: boxes that meet
-    pairwise meet in common). An edge that closes a triangle with two known edges adds nothing; an edge that remains
-    when no more triangles close is the generator of one more loop.
+    pairwise meet in common). An edge that closes a triangle with two known edges adds nothing; when no more triangles
+    close, the first edge that remains is the generator of one more loop. An edge that becomes known can close the
+    triangles that it is part of, and no others: these alone are looked at, so that the time goes with the edges.
     """
-    degree = np.zeros(n + 1, np.int64)
-    for e in range(a.size):
-        degree[a[e] + 1] += 1
-        degree[b[e] + 1] += 1
-    for i in range(n):
-        degree[i + 1] += degree[i]
-    fill = degree[:-1].copy()
-    edge = np.empty(2 * a.size, np.int64)
-    other = np.empty(2 * a.size, np.int64)
-    for e in range(a.size):
-        edge[fill[a[e]]] = e
-        other[fill[a[e]]] = b[e]
-        fill[a[e]] += 1
-        edge[fill[b[e]]] = e
-        other[fill[b[e]]] = a[e]
-        fill[b[e]] += 1
+    first, edge, other = incidence(n, a, b)
     known = in_tree.copy()
-    loops = np.empty(a.size, np.int64)
+    fresh = np.empty(a.size, np.int32)
+    n_fresh = 0
+    for e in range(a.size):
+        if known[e]:
+            fresh[n_fresh] = e
+            n_fresh += 1
+    loops = np.empty(a.size - n_fresh, np.int64)
     n_loops = 0
-    todo = np.flatnonzero(~in_tree)
-    while True:
-        changed = True
-        while changed:
-            changed = False
-            for e in todo:
-                if known[e]:
-                    continue
-                for s in range(degree[a[e]], degree[a[e] + 1]):
-                    if not known[edge[s]]:
+    for generator in range(a.size + 1):
+        while n_fresh > 0:
+            n_fresh -= 1
+            e = fresh[n_fresh]
+            for s in range(first[a[e]], first[a[e] + 1]):
+                for t in range(first[b[e]], first[b[e] + 1]):
+                    if other[s] != other[t] or known[edge[s]] == known[edge[t]]:
                         continue
-                    closes = False
-                    for t in range(degree[b[e]], degree[b[e] + 1]):
-                        if known[edge[t]] and other[t] == other[s]:
-                            closes = True
-                    if closes:
-                        known[e] = True
-                        changed = True
-                        break
-        generator = -1
-        for e in todo:
-            if not known[e]:
-                generator = e
-                break
-        if generator < 0:
-            return loops[:n_loops].copy()
-        known[generator] = True
-        loops[n_loops] = generator
-        n_loops += 1
+                    closed = edge[t] if known[edge[s]] else edge[s]
+                    known[closed] = True
+                    fresh[n_fresh] = closed
+                    n_fresh += 1
+        if generator < a.size and not known[generator]:
+            known[generator] = True
+            loops[n_loops] = generator
+            n_loops += 1
+            fresh[0] = generator
+            n_fresh = 1
+    return loops[:n_loops].copy()
+
+
+@njit
+def climb(order, parent, kept, position):
+    """Steps of each point from the root, its first ``kept`` ancestor (itself, or else the root) and the way there.
+
+    :param order: (k,) points, parents first.
+    """
+    depth, base = np.zeros(parent.size, np.int32), np.arange(parent.size)
+    way = np.zeros(parent.size)
+    for i in order:
+        above = parent[i]
+        if above < 0:
+            continue
+        depth[i] = depth[above] + 1
+        if not kept[i]:
+            base[i] = base[above]
+            way[i] = way[above] + np.sqrt(((position[i] - position[above]) ** 2).sum())
+    return depth, base, way
+
+
+@njit
+def loop_sizes(parent, depth, u, v, position, thickness, enough):
+    """Length and largest thickness of the loops that the edges ``u[c], v[c]`` close, followed until ``enough``."""
+    length, widest = np.zeros(u.size), np.zeros(u.size)
+    for c in range(u.size):
+        i, j = u[c], v[c]
+        length[c] = np.sqrt(((position[i] - position[j]) ** 2).sum())
+        widest[c] = max(thickness[i], thickness[j])
+        while i != j and length[c] <= enough:
+            if depth[i] < depth[j]:
+                i, j = j, i
+            length[c] += np.sqrt(((position[i] - position[parent[i]]) ** 2).sum())
+            i = parent[i]
+            widest[c] = max(widest[c], thickness[i])
+    return length, widest
 
 
 @njit

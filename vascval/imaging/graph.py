@@ -152,6 +152,7 @@ class Loops:
 
 def judge_loops(
     skeleton: SkeletonGraph,
+    order: np.ndarray,
     parent: np.ndarray,
     ends: np.ndarray,
     position_mm: np.ndarray,
@@ -165,41 +166,15 @@ def judge_loops(
     without being a finding. The arms of a true loop end at the cut; an arm that sticks out of its junction by its
     salience (:func:`vascval.imaging.tips.salience_mm`) stays as a branch, a lesser one is dropped.
 
-    :param parent: (k,) parent of each skeleton point.
+    :param order: with ``parent`` (k,), from :func:`rooted`.
     :param ends: tips of vessels among the skeleton points.
     :param position_mm: (k, 3); ``thickness_mm``, ``salience_mm`` (k,) distance map and salience at the skeleton points.
     """
+    cuts = skeleton.cuts
     kept = kernels.mark_paths(parent, ends.astype(np.int32))
-    loops, stub, n_pinholes = [], [], 0
-    for u, v in skeleton.cuts.tolist():
-        arms = _arms(parent, u, v)
-        path = np.array(arms[0] + arms[1][-2::-1])
-        closed = np.concatenate((path, path[:1]))
-        length = float(np.sqrt((np.diff(position_mm[closed], axis=0) ** 2).sum(axis=1)).sum())
-        if length <= PINHOLE_RADII * float(thickness_mm[path].max()):
-            n_pinholes += 1
-            continue
-        loops.append((u, v))
-        for end in (u, v):
-            way, at = 0.0, end
-            while not kept[at] and parent[at] >= 0:
-                way += float(np.linalg.norm(position_mm[at] - position_mm[parent[at]]))
-                at = int(parent[at])
-            if way > thickness_mm[at] + salience_mm[end]:
-                stub.append(end)
-    return Loops(np.array(loops, dtype=np.int64).reshape(-1, 2), n_pinholes, np.unique(np.array(stub, dtype=np.int64)))
-
-
-def _arms(parent: np.ndarray, u: int, v: int) -> tuple[list[int], list[int]]:
-    """The ways from two points to their first common ancestor, that ancestor included in both."""
-    above, at = {u}, u
-    while parent[at] >= 0:
-        at = int(parent[at])
-        above.add(at)
-    right = [v]
-    while right[-1] not in above:
-        right.append(int(parent[right[-1]]))
-    left = [u]
-    while left[-1] != right[-1]:
-        left.append(int(parent[left[-1]]))
-    return left, right
+    depth, base, way = kernels.climb(order, parent, kept, position_mm)
+    enough = PINHOLE_RADII * float(thickness_mm.max())
+    length, widest = kernels.loop_sizes(parent, depth, cuts[:, 0], cuts[:, 1], position_mm, thickness_mm, enough)
+    true = length > PINHOLE_RADII * widest
+    sticks_out = true[:, None] & (way[cuts] > thickness_mm[base[cuts]] + salience_mm[cuts])
+    return Loops(cuts[true], int(cuts.shape[0] - true.sum()), np.unique(cuts[sticks_out]))

@@ -212,7 +212,7 @@ def _draw(voxels: Voxels, left: np.ndarray, thickness: np.ndarray, tips: Tips, r
     order, parent = graph.rooted(skeleton, root)
     position = voxels.index_xyz(skeleton.voxel) * voxels.spacing_mm
     at = thickness[skeleton.voxel]
-    loops = graph.judge_loops(skeleton, parent, ends, position, at, salience_mm(at, tips.bump_mm))
+    loops = graph.judge_loops(skeleton, order, parent, ends, position, at, salience_mm(at, tips.bump_mm))
     ends = np.union1d(ends[ends != root], loops.stub)
     return _Drawn(skeleton, order, parent, ends, loops)
 
