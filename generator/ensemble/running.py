@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from generator.ensemble.plan import Order
 from generator.ensemble.work import Failed, Grown, Measure, make, warm_up
-from generator.ensemble.workers import n_threads, one_per_host
+from generator.ensemble.workers import by_host, n_threads
 from vascval.core.errors import ComputationError
 
 if TYPE_CHECKING:
@@ -68,12 +68,17 @@ Event = Begun | Share | Finished | Deserted
 
 
 def warm(client: Client, order: Order, measure: Measure) -> list[str]:
-    """Compiles the kernels on one worker of each machine and waits; reasons why it could not be done."""
+    """Has every worker load the kernels, all at once, and one of each machine compile those that were never compiled
+    there; reasons why it could not be done."""
     futures = [
-        client.submit(warm_up, order, str(Path.cwd()), measure, workers=[address], allow_other_workers=True, pure=False)
-        for address in one_per_host(client)
-    ]
-    return [reason for reason in client.gather(futures) if reason]
+        client.submit(
+            warm_up, order, str(Path.cwd()), measure, compiles=worker == addresses[0], workers=[worker],
+            allow_other_workers=True, pure=False,
+        )
+        for addresses in by_host(client)
+        for worker in addresses
+    ]  # fmt: skip
+    return [reason for reason in dict.fromkeys(client.gather(futures)) if reason]
 
 
 def run(client: Client, orders: Sequence[Order], measure: Measure) -> Generator[Event, None, None]:

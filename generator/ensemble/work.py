@@ -6,10 +6,13 @@ import os
 import socket
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+from numba.core import event
 
 import vascval
 from generator.config import Config
@@ -80,20 +83,43 @@ def make(order: Order, folder: str, measure: Measure, report: Report) -> Grown |
         return Failed(str(error))
 
 
-def warm_up(order: Order, folder: str, measure: Measure) -> str:
-    """Makes a tiny tree of that kind, so that the kernels are compiled and lie in the user's cache.
+def warm_up(order: Order, folder: str, measure: Measure, compiles: bool) -> str:
+    """Makes a tiny tree of that kind, so that this process has the kernels.
 
+    :param compiles: compile those that are not in the user's cache, and put them there; else stop at the first.
     :returns: why it could not be done, or nothing.
     """
     os.environ.setdefault(VARIABLE, "1")
     try:
-        run = Run.of(_tiny(_found(order, Path(folder))))
-        for _ in run.steps():
-            pass
-        measure(run.tree(), order.name)
+        with nullcontext() if compiles else _nothing_compiled():
+            run = Run.of(_tiny(_found(order, Path(folder))))
+            for _ in run.steps():
+                pass
+            measure(run.tree(), order.name)
     except VascvalError as error:
         return str(error)
+    except _NotCached:
+        pass
     return ""
+
+
+class _NotCached(Exception):
+    """A kernel would have to be compiled."""
+
+
+class _Refusal(event.Listener):  # type: ignore[misc]
+    def on_start(self, event: event.Event) -> None:
+        raise _NotCached
+
+    def on_end(self, event: event.Event) -> None:
+        """A compilation that was refused."""
+
+
+@contextmanager
+def _nothing_compiled() -> Iterator[None]:
+    """:raises _NotCached: where a kernel would be compiled inside."""
+    with event.install_listener("numba:compile", _Refusal()):
+        yield
 
 
 def _tiny(config: Config) -> Config:

@@ -88,11 +88,11 @@ def n_threads(client: Client) -> int:
     return sum(client.nthreads().values())
 
 
-def one_per_host(client: Client) -> list[str]:
-    """The address of a worker on each machine."""
-    hosts: dict[str, str] = {}
+def by_host(client: Client) -> list[list[str]]:
+    """The addresses of the workers on each machine."""
+    hosts: dict[str, list[str]] = {}
     for address, worker in sorted(client.scheduler_info(n_workers=-1)["workers"].items()):
-        hosts.setdefault(worker["host"], address)
+        hosts.setdefault(worker["host"], []).append(address)
     return list(hosts.values())
 
 

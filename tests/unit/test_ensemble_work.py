@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -9,7 +11,7 @@ from generator.ensemble import running, work
 from generator.ensemble.plan import Order, plan
 from generator.ensemble.running import Begun, Deserted, Finished, run, warm
 from generator.ensemble.work import Failed, Grown, make, warm_up
-from generator.ensemble.workers import connected, n_threads, one_per_host
+from generator.ensemble.workers import by_host, connected, n_threads
 from vascval.core.errors import ComputationError, InputError
 from vascval.core.threads import threads
 from vascval.core.tree import Tree
@@ -74,12 +76,32 @@ def test_workers_do_not_trust_their_files(tmp_path, monkeypatch):
     monkeypatch.chdir(here)
     (order,) = orders("terminals_file=points.csv", seeds=1)
     assert isinstance(make(order, str(here), volume, lambda _: None), Grown)
-    assert warm_up(order, str(here), volume) == ""
+    assert warm_up(order, str(here), volume, True) == ""
     other = make(order, str(there), volume, lambda _: None)
     assert isinstance(other, Failed) and "terminals_file: the file on" in other.reason
     gone = make(order, str(tmp_path), volume, lambda _: None)
     assert isinstance(gone, Failed) and "points.csv: cannot be read" in gone.reason
-    assert "points.csv: cannot be read" in warm_up(order, str(tmp_path), volume)
+    assert "points.csv: cannot be read" in warm_up(order, str(tmp_path), volume, True)
+
+
+def test_a_worker_that_may_not_compile_loads_what_there_is(tmp_path):
+    """In a process of its own, once the kernels are in the cache: it gets as far as the measures, and there stops at
+    a kernel that was never compiled. One that may compile goes on."""
+    (order,) = orders(seeds=1)
+    assert warm_up(order, str(tmp_path), volume, True) == ""
+    script = (
+        "import numba\n"
+        "from generator.ensemble.plan import plan\n"
+        "from generator.ensemble.work import warm_up\n"
+        "reached = []\n"
+        "def measure(tree, source):\n"
+        "    reached.append('loaded')\n"
+        "    reached.append(numba.njit(lambda n: n + 1)(tree.n_nodes) - tree.n_nodes)\n"
+        "order = plan('karch-box', ('n_terminals=60',), (), 1).orders[0]\n"
+        "print([warm_up(order, '.', measure, compiles) for compiles in (False, True)], reached)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "['', ''] ['loaded', 'loaded', 1]\n"
 
 
 def test_workers_are_of_the_same_version(tmp_path):
@@ -93,7 +115,7 @@ def test_a_worker_lost_costs_its_own_tree(client):
     """A tree that ends every worker fails in the end; the others are made, each by one worker."""
     wanted = orders(seeds=8)
     assert n_threads(client) == 2
-    assert len(one_per_host(client)) == 1
+    assert [len(workers) for workers in by_host(client)] == [2]
     assert warm(client, wanted[0], volume) == []
     events = list(run(client, wanted, deadly))
     results = {event.order.config.seed: event.result for event in events if isinstance(event, Finished)}
