@@ -163,6 +163,57 @@ def dot(a, b):
 
 
 @njit
+def stiffness(slope, hold, length, seen_slope, seen_length, along, across):
+    """How much segments resist, as the Laplacian takes it: ``across`` as a weight, ``along`` as a stiffness.
+
+    Across it is the tension, the slope less what a bound takes of it, but not less than a twentieth of the slope. Along
+    it is the change of the slope by the length that the last step has shown, within limits; where that cannot be told
+    it stays, and before a first step (``seen_length`` 0) it is a tenth of that across.
+    """
+    for i in range(1, length.size):
+        weight = max(slope[i], 1e-9)
+        across[i] = max(weight - hold[i], 0.05 * weight)
+        weight /= length[i]
+        change = length[i] - seen_length[i]
+        if seen_length[i] == 0.0:
+            along[i] = 0.1 * weight
+        elif abs(change) > 1e-7 * length[i]:
+            along[i] = min(max((slope[i] - seen_slope[i]) / change, 0.01 * weight), 2.0 * weight)
+        seen_slope[i], seen_length[i] = slope[i], length[i]
+
+
+@njit
+def foresee(parent, position, moves, chord, step, pull, bound, shortest, on, stiff, rhs):
+    """Whether a ``step`` takes segments below a bound that does not press yet; it is then put into the next solve.
+
+    Their stiffness is added to ``stiff`` and the force of the bound as it is now, which is negative, to ``rhs``.
+
+    :param step: (N, 3) what is taken off the positions; ``on`` (N,): positive where the bound presses already.
+    """
+    found = False
+    for i in range(1, parent.size):
+        if bound[i] <= 0.0 or on[i] > 0.0:
+            continue
+        p = parent[i]
+        away = 1.0 / max(chord[i], TINY_MM)
+        shorter = 0.0
+        for k in range(3):
+            shorter += away * (position[i, k] - position[p, k]) * (step[i, k] - step[p, k])
+        force = pull[i] + bound[i] * (shortest - chord[i])
+        if force + bound[i] * shorter <= 0.0:
+            continue
+        found = True
+        stiff[i] += bound[i]
+        for k in range(3):
+            f = -force * away * (position[i, k] - position[p, k])
+            if moves[i]:
+                rhs[i, k] += f
+            if moves[p]:
+                rhs[p, k] -= f
+    return found
+
+
+@njit
 def solve_laplacian(parent, position, moves, chord, length, weight, stiff, bend, rhs, block, diagonal, out):
     """``out`` with ``H out = rhs`` at the nodes that move, 0 elsewhere; ``H`` is a tree Laplacian of 3 x 3 blocks.
 

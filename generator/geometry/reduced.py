@@ -4,8 +4,10 @@ With ``rho_i = n_i l_i f_i + S_i^(4/gamma)`` and ``S_i`` the sum of ``rho_c^(gam
 (:mod:`generator.haemodynamics`; ``f`` is the viscosity relative to the constant one) the radii follow from the lengths,
 and a sweep back gives the derivative ``w_i`` of the cost by every length. At fixed weights ``w`` the problem is that of
 a network of strings under tension; its Hessian, a tree Laplacian of 3 x 3 blocks, is solved without fill-in and gives
-the step, which Armijo's rule shortens where needed. Lengths are smoothed, ``sqrt(|d|^2 + eps^2)``, and ``eps`` falls
-step by step, so that the search does not stall where nodes coincide. Lower bounds enter by augmented Lagrangians.
+the step, which Armijo's rule shortens where needed. How the weights change with the lengths, which that Hessian leaves
+out, is learnt segment by segment from the last step (a diagonal secant condition). Lengths are smoothed,
+``sqrt(|d|^2 + eps^2)``, and ``eps`` falls step by step, so that the search does not stall where nodes coincide. Lower
+bounds enter by augmented Lagrangians; those that a step would run into are put into a second solve.
 One step costs O(N).
 """
 
@@ -22,9 +24,9 @@ from vascval.core.errors import ComputationError, InputError
 from vascval.core.tree import Tree
 from vascval.core.units import PA_S_PER_CP
 
-_BEND = 0.9
-"""How much of the Hessian's negative part the step uses: 0 is the majoriser, 1 the Hessian at fixed weights."""
 _SWEEPS = 100
+_ROUGH_STEPS = 12
+"""At most so many before the last ``eps``: one cluster that is late must not hold up all others."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ def solve_reduced(problem: Problem, options: ReducedOptions | None = None) -> So
     for factor in options.smoothing[:-1]:
         model.eps = factor * scale
         model.stiffen()
-        found = _descend(model, position, options.rough, 60)
+        found = _descend(model, position, options.rough, _ROUGH_STEPS)
         position, steps = found.position, steps + found.steps
         model.update_bound()
     model.eps = options.smoothing[-1] * scale
@@ -116,6 +118,7 @@ def _descend(model: Model, position: np.ndarray, tolerance: float, max_steps: in
     """Steps until the forces balance to ``tolerance``, or there is no way down, or they are ``max_steps``."""
     cost = model.cost(position)
     gradient = model.gradient(position)
+    model.forget()
     for taken in range(max_steps):
         residual = model.residual(gradient)
         if residual <= tolerance:
@@ -155,6 +158,7 @@ class Model:
         self.push, self.lift, self.hold, self.stiff = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
         self.pull, self.bound = np.array(problem.pull), np.zeros(n)
         self.factor, self.bend, self.feedback = np.ones(n), np.zeros(n), np.zeros(n)
+        self.seen_slope, self.seen_length, self.along = np.zeros(n), np.zeros(n), np.zeros(n)
         self._scratch, self._blocks = np.zeros(n), (np.zeros((n, 6)), np.zeros((n, 6)))
 
     def cost(self, position: np.ndarray) -> float:
@@ -261,11 +265,33 @@ class Model:
     def residual(self, gradient: np.ndarray) -> float:
         return kernels.imbalance(self.parent, self.problem.moves, self.slope, gradient, self._scratch)
 
+    def forget(self) -> None:
+        """Let the next step know nothing of the last one."""
+        self.seen_length[:] = 0.0
+
     def step(self, position: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-        out = np.empty_like(gradient)
+        """(N, 3) what to take off the positions to go down."""
+        moves, across = self.problem.moves, self._scratch
+        kernels.stiffness(
+            self.slope, self.hold, self.length, self.seen_slope, self.seen_length, self.along, across
+        )  # fmt: skip
+        stiff, rhs = self.stiff + self.along, gradient.copy()
+        step = self._solve(position, across, stiff, gradient)
+        runs_into = kernels.foresee(
+            self.parent, position, moves, self.chord, step, self.pull, self.bound, self.physics.l_min_mm, self.stiff,
+            stiff, rhs,
+        )  # fmt: skip
+        if runs_into:
+            held = self._solve(position, across, stiff, rhs)
+            if kernels.dot(gradient, held) > 0.0:
+                return held
+        return step
+
+    def _solve(self, position: np.ndarray, weight: np.ndarray, stiff: np.ndarray, rhs: np.ndarray) -> np.ndarray:
+        out = np.empty_like(rhs)
         kernels.solve_laplacian(
-            self.parent, position, self.problem.moves, self.chord, self.length, self.slope, self.stiff, _BEND, gradient,
-            *self._blocks, out,
+            self.parent, position, self.problem.moves, self.chord, self.length, weight, stiff, 1.0, rhs, *self._blocks,
+            out,
         )  # fmt: skip
         return out
 
@@ -277,12 +303,16 @@ class Model:
             self.bound = np.where(self.problem.bounded, stiff, 0.0)
 
     def update_bound(self) -> tuple[float, str]:
-        """New multipliers; the largest relative violation and, in words, where it is."""
+        """New multipliers; the largest relative violation and, in words, where it is.
+
+        A bound that pushes where its segment is longer is violated too.
+        """
         limit = self.physics.l_min_mm
         if limit == 0.0:
             return 0.0, ""
         gap = np.where(self.problem.bounded, limit - self.chord, 0.0)
         self.pull = np.maximum(0.0, self.pull + self.bound * gap)
+        gap = np.where(self.pull > 0.0, np.abs(gap), gap)
         i = int(gap.argmax())
         return max(0.0, float(gap[i]) / limit), f"segment {i} has length {self.chord[i]:.4g} mm"
 
