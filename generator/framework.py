@@ -92,9 +92,8 @@ class Run:
         """Where the run stands, as copies."""
         record = {"stages": [asdict(stage) for stage in self.stages], "until": self._until, "searched": self._searched}
         arrays = with_prefix("growth", self.growth.state())
-        searching = self.topology.state() if self.topology.begun else self._searching
-        if searching is not None and not self._searched:
-            arrays |= with_prefix("topology", searching)
+        searching = self.topology.state(done=self._searched) if self.topology.begun else self._searching
+        arrays |= with_prefix("topology", searching or {})
         return State(record, arrays)
 
     def restore(self, state: State) -> None:
@@ -114,15 +113,12 @@ class Run:
             raise InputError("says of other stages than the run has; begin the run anew")
         self.growth.restore(below("growth", state.arrays))
         self._searching = below("topology", state.arrays) or None
+        if self._searching is not None and self._searched:
+            self.topology.recall(self._searching)
         self.stages = stages
         for stage in stages:
             if stage.name == "geometry":
                 self.geometry.solves = stage.solves or 0
-
-    @property
-    def search_ahead(self) -> bool:
-        """Whether topologies are still to be searched, or the search goes on."""
-        return not self._searched
 
     def _stage(self, name: str) -> Stage:
         return next(stage for stage in self.stages if stage.name == name)

@@ -85,19 +85,27 @@ class TopologyStage:
         """``parent`` and ``position_mm`` of the best tree found."""
         return min(self._chains, key=lambda chain: chain.best_mm3).arrays()
 
-    def state(self) -> dict[str, np.ndarray]:
-        """All that decides how a search goes on that has begun, as plain arrays that are copies."""
+    def state(self, *, done: bool = False) -> dict[str, np.ndarray]:
+        """All that decides how a search goes on that has begun, as plain arrays that are copies; the history alone of
+        one that is ``done``."""
         kept = {"history": np.array([astuple(step) for step in self.history], np.float64).reshape(-1, 6)}
-        for number, chain in enumerate(self._chains):
+        for number, chain in enumerate([] if done else self._chains):
             kept |= with_prefix(f"chain{number}", chain.state())
         return kept
 
-    def _restore(self, kept: dict[str, np.ndarray]) -> None:
+    def recall(self, kept: dict[str, np.ndarray]) -> None:
+        """Take over the history.
+
+        :raises InputError: when there is none that is sound.
+        """
         if not fits(kept, {"history": ("float64", (None, 6))}):
             raise InputError("lacks a part of the search for topologies; begin the run anew")
         self.history = [
             AnnealingStep(int(tests), int(target), int(accepted), *numbers)
             for tests, target, accepted, *numbers in kept["history"].tolist()
         ]
+
+    def _restore(self, kept: dict[str, np.ndarray]) -> None:
+        self.recall(kept)
         for number, chain in enumerate(self._chains):
             chain.restore(below(f"chain{number}", kept))

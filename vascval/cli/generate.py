@@ -124,11 +124,6 @@ def _check_history(run: Run, path: Path) -> None:
             f"--history {path}: method={run.config.method} has no search for topologies; set method=full, or leave "
             "--history out"
         )
-    if not run.search_ahead:
-        raise InputError(
-            f"--history {path}: the search was done before the checkpoint, which keeps no history of it; leave "
-            "--history out"
-        )
     count = min(run.growth.n_terminals, run.config.topology.at)
     if count < 3:
         raise InputError(
