@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from cli_files import contents, write_nrrd
 
+from generator.growth.growth import Growth
 from generator.topology.annealing import Annealing
-from vascval.cli import twin_parts
+from vascval import imaging
+from vascval.cli import twin_outcome, twin_parts
 from vascval.cli.main import main
 from vascval.io import schemas
 from vascval.io.trees import read_tree
@@ -230,53 +232,81 @@ def test_an_input_is_not_overwritten(tmp_path, tree_file, capsys):
     assert "cast.vtp: is an input and would be overwritten; choose another directory" in capsys.readouterr().err
 
 
-def test_interrupted_while_growing(tmp_path, cast_file, monkeypatch, capsys):
-    from generator.framework import Run
-
-    steps = Run.steps
-
-    def stopped(self):
-        for count, step in enumerate(steps(self)):
-            if self.config.method == "full" and count == 2:
-                raise KeyboardInterrupt
-            yield step
-
-    monkeypatch.setattr(Run, "steps", stopped)
-    before = contents(tmp_path)
-    twin(cast_file, "-o", tmp_path / "twin", code=130)
-    assert capsys.readouterr().err == "vascval: interrupted; no unfinished file is left behind\n"
-    assert contents(tmp_path) == before
-
-
 def test_configurations_refuse_every_key_that_the_twin_decides():
     for key in twin_parts._DECIDED:
         with pytest.raises(Exception, match=f"{key} is decided by the twin"):
             twin_parts.configurations([f"{key}=x"])
 
 
+def interrupted_at(monkeypatch, owner, name, count):
+    """Ctrl-C in the middle of a call of that, the count-th."""
+    whole, calls = getattr(owner, name), 0
+
+    def stopped(*arguments, **options):
+        nonlocal calls
+        calls += 1
+        if calls == count:
+            raise KeyboardInterrupt
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(owner, name, stopped)
+
+
 @pytest.mark.usefixtures("unreported")
 def test_an_interrupted_twin_goes_on_from_its_checkpoint_to_the_same_trees(tmp_path, cast_file, monkeypatch, capsys):
     twin(cast_file, "-o", tmp_path / "whole")
     assert not (tmp_path / "whole.checkpoint").exists()
-
-    run, count = Annealing._block, 0
-
-    def stopped(self):
-        nonlocal count
-        count += 1
-        if count == 4:
-            raise KeyboardInterrupt
-        return run(self)
-
-    monkeypatch.setattr(Annealing, "_block", stopped)
-    out = tmp_path / "twin"
-    twin(cast_file, "-o", out, "--checkpoint-every", 0, code=130)
-    assert not out.exists() and (tmp_path / "twin.checkpoint").exists()
+    out, kept = tmp_path / "twin", tmp_path / "twin.checkpoint"
+    with monkeypatch.context() as patch:
+        interrupted_at(patch, Annealing, "_block", 4)
+        twin(cast_file, "-o", out, "--checkpoint-every", 0, code=130)
+    assert not out.exists() and kept.exists()
     twin(cast_file, "-o", out, code=2)
     assert "go on from it with --resume, or remove it" in capsys.readouterr().err
-    twin(cast_file, "-o", out, "--resume", tmp_path / "twin.checkpoint", "--set", "seed=7", code=2)
-    assert "seed is" in capsys.readouterr().err
-    twin(cast_file, "-o", out, "--resume", tmp_path / "twin.checkpoint")
-    assert not (tmp_path / "twin.checkpoint").exists()
-    for name in ("cco.vtp", "optimised.vtp"):
-        assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    twin(cast_file, "-o", out, "--resume", kept, "--set", "seed=7", code=2)
+    assert "seed=7" in capsys.readouterr().err
+    with monkeypatch.context() as patch:  # what is in the checkpoint is not done again
+        patch.delattr("vascval.imaging.skeletonize")
+        patch.delattr(Growth, "_begin")
+        twin(cast_file, "-o", out, "--resume", kept)
+    assert not kept.exists()
+    assert contents(out) == contents(tmp_path / "whole")
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "left"),
+    [
+        (imaging, "skeletonize", False),  # nothing to go on from
+        (twin_parts, "hull_ground", True),
+        (Growth, "_advance", True),
+        (twin_outcome.Outcome, "write", True),
+    ],
+)
+@pytest.mark.usefixtures("unreported")
+def test_interrupted_at_any_stage(tmp_path, cast_file, monkeypatch, capsys, owner, name, left):
+    out, kept = tmp_path / "twin", tmp_path / "twin.checkpoint"
+    before = contents(tmp_path)
+    with monkeypatch.context() as patch:
+        interrupted_at(patch, owner, name, 1)
+        twin(cast_file, "-o", out, code=130)
+    assert capsys.readouterr().err.splitlines()[-1] == "vascval: interrupted; no unfinished file is left behind"
+    assert kept.exists() == left
+    kept.unlink(missing_ok=True)
+    assert contents(tmp_path) == before
+
+
+def test_a_checkpoint_that_is_not_of_a_cast_is_refused(tmp_path, cast_file, monkeypatch, capsys):
+    from generator import checkpoint
+
+    out, kept = tmp_path / "twin", tmp_path / "twin.checkpoint"
+    with monkeypatch.context() as patch:
+        interrupted_at(patch, twin_parts, "hull_ground", 1)
+        twin(cast_file, "-o", out, code=130)
+    header, body = checkpoint._unpacked(kept)
+    arrays = checkpoint._arrays(kept, header["arrays"], body)
+    del arrays["cast.start"]
+    checkpoint.write(kept, checkpoint.State(header["record"], arrays), header["origin"])
+    capsys.readouterr()
+    twin(cast_file, "-o", out, "--resume", kept, code=2)
+    assert "holds a cast that is not sound; begin the run anew" in capsys.readouterr().err
+    assert kept.exists()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from vascval.cli import sources
 from vascval.cli.console import Observer, note
@@ -13,7 +13,16 @@ from vascval.cli.interruption import held_back
 from vascval.core.errors import InputError
 
 if TYPE_CHECKING:
+    from generator.checkpoint import State
     from generator.framework import Run
+
+
+class Kept(Protocol):
+    """What can be kept: a run, or several."""
+
+    def state(self) -> State: ...
+
+    def restore(self, state: State) -> None: ...
 
 
 class Keeping:
@@ -23,7 +32,7 @@ class Keeping:
     :param every_s: seconds from one to the next.
     """
 
-    def __init__(self, run: Run, origin: Mapping[str, Any], path: Path, every_s: float) -> None:
+    def __init__(self, run: Kept, origin: Mapping[str, Any], path: Path, every_s: float) -> None:
         self.run, self.origin, self.path, self.every_s = run, origin, path, every_s
         self._last = time.monotonic()
 

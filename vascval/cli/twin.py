@@ -11,14 +11,15 @@ import click
 
 from vascval.cli import sources
 from vascval.cli.console import Observer, note, progress, say, write_json
+from vascval.cli.keeping import Keeping
 from vascval.cli.options import Selection, checkpoint_options, json_option, unit_option, volume_options
 from vascval.cli.sources import Measured
 from vascval.cli.summary import comparison_tables
+from vascval.cli.twin_kept import Parts
 from vascval.core.errors import InputError
 
 if TYPE_CHECKING:
     from generator.config import Config
-    from vascval.cli import twin_parts as parts
 
 _LENGTH = click.FloatRange(min=0, min_open=True)
 
@@ -86,9 +87,9 @@ It is removed when all is done.
     "be repeated.  [default of n_terminals: as many as the cast has]",
 )  # fmt: skip
 @checkpoint_options(
-    "the optimised tree is kept while it is made",
+    "the measured cast and the trees are kept while they are made",
     "DIR.checkpoint, beside DIR",
-    "give the same cast and options. What came before is done again, which is quick.",
+    "give the same cast and options.",
 )
 @json_option
 @volume_options
@@ -116,19 +117,34 @@ def twin(
     """
     from vascval.cli import twin_parts as parts
     from vascval.io.atomic import atomic_directory
+    from vascval.io.provenance import provenance
 
     wishes = Wishes(domain, hull_radius_mm, hull_margin_mm, root_generations, changes)
-    kept = parts.Kept(checkpoint or resume or directory.with_name(f"{directory.name}.checkpoint"), every_s, resume)
+    checkpoint = checkpoint or resume or directory.with_name(f"{directory.name}.checkpoint")
+    inputs = [cast, *([] if domain is None else [domain])]
+    chosen = {**selection.config(), "unit": unit, **wishes.config()}
     _check(cast, directory, json_file, wishes, selection)
-    kept.check()
+    sources.check_file(checkpoint, inputs)
     configs = parts.configurations(changes)
-    with progress() as observer, atomic_directory(directory) as work:
-        measured = sources.measure(cast, cast.name, selection, unit, observer)
-        with sources.about(cast):
-            document = _twin(
-                cast, measured, wishes, configs, kept, work, observer, {**selection.config(), "unit": unit}
-            )
-    kept.end()
+    kept = Parts()
+    keeping = Keeping(kept, provenance(command="twin", config=chosen, seed=None, inputs=inputs), checkpoint, every_s)
+    keeping.begin(resume)
+    try:
+        with progress() as observer, atomic_directory(directory) as work:
+            keeping.write()  # so that there is one from the first moment on
+            with sources.about(cast):
+                measured = kept.measured(cast.name)
+            if measured is None:
+                measured = sources.measure(cast, cast.name, selection, unit, observer)
+                kept.keep(measured)
+                keeping.write()
+            with sources.about(cast):
+                document = _twin(inputs, measured, wishes, configs, kept, keeping, work, observer, chosen)
+    except BaseException as error:
+        if resume is None and not kept.helps(error):
+            keeping.end()
+        raise
+    keeping.end()
     if json_file != "-":
         say(comparison_tables(document))
         say(f"\nreport: {directory / 'report.html'}")
@@ -161,11 +177,12 @@ _WRITTEN = ("cast.vtp", "cco.vtp", "optimised.vtp", "root-tree.vtp", "domain.nrr
 
 
 def _twin(
-    path: Path,
+    inputs: list[Path],
     measured: Measured,
     wishes: Wishes,
     configs: Mapping[str, Config],
-    kept: parts.Kept,
+    kept: Parts,
+    keeping: Keeping,
     work: Path,
     observer: Observer | None,
     chosen: Mapping[str, Any],
@@ -177,7 +194,7 @@ def _twin(
     from vascval.cli.twin_outcome import Outcome
     from vascval.morphometry import analyze
 
-    whole = measured.analysis.tree
+    path, whole = inputs[0], measured.analysis.tree
     config = next(iter(configs.values()))
     if wishes.domain is not None:
         ground = parts.given_ground(wishes.domain, config, whole, work)
@@ -192,10 +209,9 @@ def _twin(
     cast = analyze(start.cast, source=name, image=measured.analysis.image, **filled)
     given = parts.root_tree(cast.tree, wishes.root_generations) if wishes.root_generations else None
     placed = parts.placed(configs, wishes.changes, ground, start, cast.summary["n_terminals"], given)
-    runs = {name: parts.grown(name, config, kept, observer) for name, config in placed.items()}
+    runs = {name: parts.grown(name, config, kept, keeping, observer) for name, config in placed.items()}
     trees = [analyze(run.tree(), source=name, **filled) for name, run in runs.items()]
-    inputs = [path, *([] if wishes.domain is None else [wishes.domain])]
     outcome = Outcome(
         whole, measured.skeleton, cast, trees, runs, given, wishes.root_generations, ground, start, inputs
     )
-    return outcome.write(work, {**chosen, **wishes.config()}, observer)
+    return outcome.write(work, chosen, observer)

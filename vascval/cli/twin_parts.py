@@ -13,13 +13,14 @@ import numpy as np
 
 from vascval.cli import sources
 from vascval.cli.console import Observer
-from vascval.cli.keeping import Keeping, check_is_free, grow
+from vascval.cli.keeping import Keeping, grow
 from vascval.core.errors import InputError
 
 if TYPE_CHECKING:
     from generator.config import Config
     from generator.domain import Domain
     from generator.framework import Run
+    from vascval.cli.twin_kept import Parts
     from vascval.comparison.perfusion import Entry
     from vascval.core.tree import Tree
     from vascval.io.volumes import Volume
@@ -256,43 +257,14 @@ def placed(
     return {name: config.model_copy(update=update) for name, config in configs.items()}
 
 
-@dataclass(frozen=True)
-class Kept:
-    """The checkpoint of the optimised tree; the other is grown in no time."""
-
-    path: Path
-    every_s: float
-    resume: Path | None
-
-    def check(self) -> None:
-        """Refuses a place that cannot be written or that holds a checkpoint, before anything is read."""
-        sources.check_file(self.path)
-        if self.resume is None:
-            check_is_free(self.path)
-        elif not self.resume.exists():
-            raise InputError(f"{self.resume}: no such file; check --resume")
-
-    def end(self) -> None:
-        """All is written."""
-        self.path.unlink(missing_ok=True)
-
-
-def grown(name: str, config: Config, kept: Kept, observer: Observer | None) -> Run:
-    """A tree, grown; an optimised one goes on from a checkpoint and leaves one when it is interrupted."""
+def grown(name: str, config: Config, kept: Parts, keeping: Keeping, observer: Observer | None) -> Run:
+    """A tree, grown, from where a checkpoint left it; an interruption leaves one."""
     from generator.framework import Run
-    from vascval.io.provenance import provenance
 
     run = Run.of(config)
-    told = None if observer is None else partial(_told, observer, name)
-    if config.method == "cco":
-        for stage, step in run.steps():
-            if told is not None:
-                told(stage, step.n_terminals, step.n_target)
-        return run
-    origin = provenance(command="twin", config=config.model_dump(mode="json"), seed=config.seed, inputs=run.inputs())
-    keeping = Keeping(run, origin, kept.path, kept.every_s)
-    keeping.begin(kept.resume)
-    interrupted = grow(run, keeping, told)
+    with sources.about(keeping.path):
+        kept.go_on(name, run)
+    interrupted = grow(run, keeping, None if observer is None else partial(_told, observer, name))
     if interrupted is not None:
         raise interrupted
     return run
