@@ -1,6 +1,7 @@
-"""``kill -9`` at random moments of ``vascval generate``, then ``--resume``: the same tree, bit for bit."""
+"""``kill -9`` at random moments of ``vascval generate`` and ``twin``, then ``--resume``: the same, bit for bit."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from cli_files import contents
 
 from vascval.cli.main import main
 
@@ -82,3 +84,40 @@ def test_killed_again_and_again(tmp_path):
     if not output.exists():
         assert main(command) == 0
     assert output.read_bytes() == whole.read_bytes()
+
+
+TWIN = ["n_terminals=100", "topology.tests=20000", "topology.chains=1"]
+
+
+def twin_arguments(cast, output):
+    sets = [part for change in TWIN for part in ("--set", change)]
+    return ["twin", str(cast), *sets, "-o", str(output), "--quiet", "--checkpoint-every", "0"]
+
+
+def twins_after_kills(folder, cast, n_kills, rng):
+    """How many of the killed twins were resumed, each to the same directory."""
+    whole, output, kept = folder / "whole", folder / "twin", folder / "twin.checkpoint"
+    assert main(twin_arguments(cast, whole)) == 0
+    began = time.monotonic()
+    assert main(twin_arguments(cast, output)) == 0
+    took_s = time.monotonic() - began
+    n_resumed = 0
+    for _ in range(n_kills):
+        shutil.rmtree(output)
+        if killed(twin_arguments(cast, output), kept, float(rng.uniform(0.0, took_s))):
+            assert main([*twin_arguments(cast, output), "--resume", str(kept)]) == 0
+            n_resumed += 1
+            assert contents(output) == contents(whole)
+        assert not kept.exists()
+    return n_resumed
+
+
+def test_a_killed_twin_is_resumed(tmp_path, cast_file, monkeypatch):
+    """Without the report, which takes longer than all else; the process that is killed would make it."""
+    monkeypatch.setattr("vascval.report.write_compare_report", lambda *args, **options: None)
+    assert twins_after_kills(tmp_path, cast_file, 2, np.random.default_rng(1)) >= 1
+
+
+@pytest.mark.slow
+def test_a_twin_killed_at_random_moments_is_resumed(tmp_path, cast_file):
+    assert twins_after_kills(tmp_path, cast_file, 8, np.random.default_rng(2)) >= 4
