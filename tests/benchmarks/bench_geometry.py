@@ -6,6 +6,7 @@ arguments. Times are CPU seconds of one process. The paper's own studies are in 
 
 from __future__ import annotations
 
+import resource
 import time
 from collections.abc import Callable, Sequence
 
@@ -47,7 +48,7 @@ def less(solution: Solution, begin: Solution) -> str:
     return f"{100 * (1 - solution.cost_mm3 / begin.cost_mm3):.2f}"
 
 
-def after_cco(counts: Sequence[int] = (500, 2000, 6000, 24_000), seeds: Sequence[int] = (1, 2, 3)) -> str:
+def after_cco(counts: Sequence[int] = (500, 2000, 6000, 24_000), seeds: Sequence[int] = (1, 2, 3, 4, 5)) -> str:
     """One geometry stage after growth: the programme alone, contracted to a fixed point, and with splits too."""
     optimise(grown(60)[0])
     rows = []
@@ -66,32 +67,42 @@ def after_cco(counts: Sequence[int] = (500, 2000, 6000, 24_000), seeds: Sequence
     return table(["terminals", "seed", "CCO mm^3", *head], rows)
 
 
-def solvers(counts: Sequence[int] = (500, 2000, 6000), seeds: Sequence[int] = (1, 2, 3, 4, 5)) -> str:
-    """The same programme, with the paper's bound on lengths, by both solvers from the same start."""
+def solvers(counts: Sequence[int] = (500, 2000, 6000, 24_000), seeds: Sequence[int] = (1, 2, 3, 4, 5)) -> str:
+    """The same programme, with the paper's bound on lengths, by both solvers from the same start; then contracted."""
     rows = []
     for n in counts:
         for seed in seeds if n <= 2000 else seeds[:1]:
             problem, _ = grown(n, seed=seed)
             reduced, quick = timed(solve_reduced, problem)
             full, slow = timed(solve_full, problem)
-            gap = abs(reduced.cost_mm3 / full.cost_mm3 - 1)
             both = [f"{found.cost_mm3:.4f}" for found in (reduced, full)]
-            times = [f"{quick:.2f}", f"{slow:.2f}"]
-            rows.append([f"{n:,}", str(seed), *both, f"{gap:.1e}", f"{full.residual:.0e}", *times])
-    return table(["terminals", "seed", "reduced mm^3", "Ipopt mm^3", "apart", "forces, Ipopt", "s", "s, Ipopt"], rows)
+            end = apart(optimise(problem), optimise(problem, solver="ipopt")) if n <= 2000 else ""
+            times = [f"{quick:.2f}", f"{slow:.2f}", str(full.n_iterations)]
+            rows.append([f"{n:,}", str(seed), *both, apart(reduced, full), f"{full.residual:.0e}", *times, end])
+    head = ["reduced mm^3", "Ipopt mm^3", "apart", "forces, Ipopt", "s", "s, Ipopt", "iterations, Ipopt"]
+    return table(["terminals", "seed", *head, "apart, contracted"], rows)
 
 
-def scaling(counts: Sequence[int] = (1000, 6000, 24_000, 100_000)) -> str:
-    """Time of one programme, and of a step, against the number of terminals."""
+def apart(first: Solution, second: Solution) -> str:
+    return f"{abs(first.cost_mm3 / second.cost_mm3 - 1):.1e}"
+
+
+def scaling(counts: Sequence[int] = (1000, 6000, 24_000, 100_000, 1_000_000)) -> str:
+    """Time of one programme, and of a step, against the number of terminals; memory is the process's peak so far."""
     solve_reduced(grown(60)[0])
     rows = []
     for n in counts:
         problem, _ = grown(n)
         begin = evaluate(problem)
+        began = time.perf_counter()
         found, seconds = timed(solve_reduced, problem)
-        step = 1e6 * seconds / found.n_iterations / n
-        rows.append([f"{n:,}", less(found, begin), str(found.n_iterations), f"{seconds:.2f}", f"{step:.3f}"])
-    return table(["terminals", "less volume %", "steps", "s", "us per step and terminal"], rows)
+        wall = time.perf_counter() - began
+        each = 1e6 * seconds / n
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        costs = [f"{seconds:.2f}", f"{wall:.2f}", f"{each:.0f}", f"{each / found.n_iterations:.3f}", f"{peak:.2f}"]
+        rows.append([f"{n:,}", less(found, begin), str(found.n_iterations), *costs])
+    head = ["terminals", "less volume %", "steps", "CPU s", "wall s", "us per terminal", "us per step and terminal"]
+    return table([*head, "peak GiB"], rows)
 
 
 def domains(counts: Sequence[int] = (500, 2000)) -> str:

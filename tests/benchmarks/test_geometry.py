@@ -27,3 +27,10 @@ def test_time_grows_linearly():
     per_step = [seconds / solution.n_iterations for solution, seconds in found]
     # four times the nodes: 4 if linear; beyond 8 something looks at all pairs, below 2 the clock is at fault
     assert 2.0 < per_step[1] / per_step[0] < 8.0
+
+
+def test_the_number_of_steps_is_bounded():
+    for n in (500, 2000, 6000):
+        steps = bench_geometry.solve_reduced(bench_geometry.grown(n)[0]).n_iterations
+        # 29, 41 and 63; hundreds where a step does not foresee the bounds or mistakes the curvature along segments
+        assert 10 < steps < 120

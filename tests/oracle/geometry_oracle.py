@@ -8,6 +8,7 @@ from scipy.sparse.linalg import spsolve
 from generator.config import load
 from generator.framework import Run
 from generator.geometry.problem import Physics, Problem
+from generator.geometry.reduced import Model
 from vascval.core.tree import Topology, Tree
 
 
@@ -124,3 +125,31 @@ def dense_laplacian(problem: Problem, position, length, weight, bend: float) -> 
             full[a, :, b, :] += sign * block
     free = np.flatnonzero(problem.moves)
     return full[free][:, :, free].reshape(3 * free.size, 3 * free.size)
+
+
+def dense_step(model: Model, position: np.ndarray, gradient: np.ndarray, across, along) -> np.ndarray:
+    """What the solver takes off the positions, by full matrices: bounds that the first solve runs into join the second.
+
+    A bound presses with ``pull + bound (shortest - |d|)`` where that is positive.
+    """
+    problem, parent = model.problem, model.problem.topology.parent
+    free = problem.moves
+    chord = problem.lengths(position)
+    matrix = dense_laplacian(problem, position, np.sqrt(chord**2 + model.eps**2), across, 1.0)
+    right = gradient[free].ravel()
+    apart = np.zeros((problem.n_nodes, right.size))
+    for i in range(1, problem.n_nodes):
+        row = np.zeros((problem.n_nodes, 3))
+        row[i] = (position[i] - position[parent[i]]) / chord[i]
+        row[parent[i]] = -row[i]
+        apart[i] = row[free].ravel()
+    force = model.pull + model.bound * (problem.physics.l_min_mm - chord)
+    pressing = (model.bound > 0.0) & (force > 0.0)
+    matrix += apart.T @ ((along + model.bound * pressing)[:, None] * apart)
+    first = np.linalg.solve(matrix, right)
+    met = (model.bound > 0.0) & ~pressing & (force + model.bound * (apart @ first) > 0.0)
+    matrix += apart.T @ ((model.bound * met)[:, None] * apart)
+    second = np.linalg.solve(matrix, right - apart.T @ (force * met))
+    step = np.zeros_like(gradient)
+    step[free] = (second if right @ second > 0.0 else first).reshape(-1, 3)
+    return step

@@ -1,5 +1,7 @@
 """The sweeps of the geometry against slow twins: radii, gradients, the tree Laplacian, splits, overlaps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,11 +11,12 @@ from generator.geometry import _reduced_kernels as kernels
 from generator.geometry.admission import Admission
 from generator.geometry.junctions import split_gains
 from generator.geometry.optimise import optimise
-from generator.geometry.problem import Problem
+from generator.geometry.problem import Physics, Problem
 from generator.geometry.reduced import Model, evaluate, solve_reduced
 from generator.haemodynamics import Perfusion
 from tests.oracle.geometry_oracle import (
     dense_laplacian,
+    dense_step,
     forces,
     grown,
     problem_of,
@@ -102,6 +105,39 @@ def test_laplacian_is_solved_without_fill_in(parent, seed, bend):
         expected = np.linalg.solve(matrix, rhs[problem.moves].ravel()).reshape(-1, 3)
         # direct solves of matrices of condition below 1e6
         assert out[problem.moves] == pytest.approx(expected, rel=1e-8, abs=1e-8)
+
+
+@settings(deadline=None, max_examples=40)
+@given(parents(), st.integers(0, 999), st.sampled_from([0.3, 1.0, 3.0]))
+def test_step_is_that_of_full_matrices(parent, seed, shortest):
+    """From a first step on, so that along segments the change of the slope counts that it has shown."""
+    problem = random_problem(parent, np.random.default_rng(seed), PERFUSION)
+    limit = min(shortest, 1.9 * problem.lengths(problem.position_mm).max())
+    held = problem.topology.n_children == 0
+    problem = replace(problem, physics=Physics(l_min_mm=limit), held=held)
+    if not problem.moves.any() or (problem.lengths(problem.position_mm)[~problem.bounded][1:] < limit).any():
+        return
+    model, position = Model(problem), np.array(problem.position_mm)
+    model.eps = 0.1
+    model.cost(position)
+    model.gradient(position)
+    model.stiffen()
+    model.cost(position)
+    first = model.step(position, model.gradient(position))
+    length, slope = model.length.copy(), model.slope.copy()
+    further = position - 0.1 * first
+    model.cost(further)
+    gradient = model.gradient(further)
+    step = model.step(further, gradient)
+    stiff = np.maximum(model.slope, 1e-9) / np.maximum(model.length, 1e-300)
+    moved = np.abs(model.length - length) > 1e-7 * model.length
+    change = (model.slope - slope)[moved] / (model.length - length)[moved]
+    along = model.along.copy()
+    along[moved] = np.clip(change, 0.01 * stiff[moved], 2.0 * stiff[moved])
+    across = np.maximum(model.slope - model.hold, 0.05 * model.slope)
+    expected = dense_step(model, further, gradient, across, along)
+    # bounds are stiff: matrices of condition up to 1e8
+    assert step == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.abs(expected).max())
 
 
 def test_forces_balance_at_every_free_node():
