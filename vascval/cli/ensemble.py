@@ -19,6 +19,7 @@ from vascval.core.errors import ComputationError
 if TYPE_CHECKING:
     from distributed import Client
 
+    from generator.config import Config
     from generator.ensemble.log import Log
     from generator.ensemble.manifest import Manifest
     from generator.ensemble.plan import Order, Plan
@@ -213,7 +214,7 @@ def _report(planned: Plan, manifest: Manifest, effort: Effort, directory: Path) 
     if not members:
         raise _failure(planned, manifest)
     ensemble = gather(members, n_asked=len(planned.orders))
-    config = {**planned.config.model_dump(mode="json"), "vary": planned.vary, "seeds": planned.n_seeds}
+    config = {**_common(planned), "vary": planned.vary, "seeds": planned.n_seeds}
     origin = provenance(command="ensemble", config=config, seed=planned.config.seed, inputs=planned.inputs())
     write_ensemble_report(ensemble, directory, provenance=origin)
     found = {
@@ -226,6 +227,23 @@ def _report(planned: Plan, manifest: Manifest, effort: Effort, directory: Path) 
     }
     EnsembleDocument.model_validate(found)
     return found
+
+
+def _common(planned: Plan) -> dict[str, Any]:
+    """The configuration without the keys that the grid varies; the seed is the first."""
+    from generator.ensemble.plan import flattened
+
+    def dumped(config: Config) -> dict[str, Any]:
+        return config.model_dump(mode="json")
+
+    def without(values: dict[str, Any], before: str = "") -> dict[str, Any]:
+        kept = {key: value for key, value in values.items() if before + key not in varied}
+        return {k: without(v, f"{before}{k}.") if isinstance(v, dict) else v for k, v in kept.items()}
+
+    base = flattened(dumped(planned.config))
+    cases = [flattened(dumped(order.config)) for order in planned.orders]
+    varied = {key for key in base if key != "seed" and any(case[key] != base[key] for case in cases)}
+    return without(dumped(planned.config))
 
 
 def _failure(planned: Plan, manifest: Manifest) -> ComputationError:
@@ -244,9 +262,16 @@ def _summary(document: dict[str, Any]) -> str:
         for row in document["totals"]:
             if row["case"] == case and row["measure"] in _SHOWN:
                 values = (row[name] for name in ("mean", "sd", "median", "min", "max"))
-                rows.append([row["measure"], *("-" if value is None else f"{value:,.2f}" for value in values)])
+                rows.append([row["measure"], *(_shown(row["measure"], value) for value in values)])
         blocks.append(table(rows))
     return "\n\n".join(blocks)
+
+
+def _shown(measure: str, value: float | None) -> str:
+    """A number; one of things without decimals where it is whole."""
+    if value is None:
+        return "-"
+    return f"{value:,.0f}" if measure.startswith("n_") and value == int(value) else f"{value:,.2f}"
 
 
 def measured(tree: Tree, source: str) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from vascval.io.tables import write_table
 from vascval.report import ensemble_panels
 from vascval.report.definitions import MEASURED
 from vascval.report.ensemble_tables import Ensemble
-from vascval.report.formats import THIN, count, measure, several, spread
+from vascval.report.formats import THIN, count, measure, missing, several, spread
 from vascval.report.origin_sections import origin_entries
 from vascval.report.page import Cell, Figure, Items, Section, Table, Text, render
 
@@ -121,8 +121,20 @@ def _totals(ensemble: Ensemble, figures: Path) -> Section:
 
 
 def _cells(row: Mapping[Any, Any]) -> list[Cell]:
-    quartiles = [Cell(measure(row[name])) for name in ("min", "q1", "median", "q3", "max")]
-    return [Cell(spread(row["mean"], row["sd"])), *quartiles]
+    return [Cell(_mean(row)), *(Cell(_number(row, name)) for name in ("min", "q1", "median", "q3", "max"))]
+
+
+def _number(row: Mapping[Any, Any], name: str) -> str:
+    """A value of a row; a whole number of things without decimals."""
+    counted = row["measure"].startswith("n_") or row["measure"] == "max_order"
+    return count(row[name]) if counted and float(row[name]).is_integer() else measure(row[name])
+
+
+def _mean(row: Mapping[Any, Any]) -> str:
+    """With the standard deviation, if there are several trees."""
+    if missing(row["sd"]):
+        return _number(row, "mean")
+    return f"{_number(row, 'mean')} ± 0" if row["sd"] == 0.0 else spread(row["mean"], row["sd"])
 
 
 def _generations(ensemble: Ensemble, figures: Path) -> Section:
@@ -155,8 +167,8 @@ def _generation_table(frame: pd.DataFrame, case: str) -> Table:
 
 
 def _mean_and_median(row: Mapping[Any, Any]) -> list[Cell]:
-    quartiles = f"{measure(row['median'])} [{measure(row['q1'])}, {measure(row['q3'])}]"
-    return [Cell(spread(row["mean"], row["sd"])), Cell(quartiles)]
+    quartiles = f"{_number(row, 'median')} [{_number(row, 'q1')}, {_number(row, 'q3')}]"
+    return [Cell(_mean(row)), Cell(quartiles)]
 
 
 def _trees(ensemble: Ensemble) -> Section:
