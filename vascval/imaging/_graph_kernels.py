@@ -136,6 +136,7 @@ def mark_paths(parent, ends):
 def nearest_points(label, centre, radius, lattice, spacing):
     """For each voxel the skeleton point of least power distance ``|v - centre|^2 - radius^2``, spread from neighbour
     to neighbour; ``label`` holds the skeleton point of the voxels that are one and -1 elsewhere, and is overwritten.
+    Voxels of a label below -1 keep it.
     """
     n = label.size
     span, run, ny = lattice.span, lattice.run, lattice.ny
@@ -152,6 +153,8 @@ def nearest_points(label, centre, radius, lattice, spacing):
             tail += 1
             waiting[i] = True
             size += 1
+        elif label[i] < -1:
+            best[i] = -np.inf
     out = np.empty(26, np.int64)
     code = np.empty(26, np.int64)
     while size > 0:
@@ -178,4 +181,3 @@ def nearest_points(label, centre, radius, lattice, spacing):
                     queue[tail] = j
                     tail = tail + 1 if tail < n else 0
                     size += 1
-    return label

@@ -1,12 +1,38 @@
 """Compiled passes of the sub-voxel refinement; see :mod:`vascval.imaging.refine`.
 
 Each branch has stations, evenly spaced along its centreline; branch ``b`` owns stations
-``offset[b]:offset[b + 1]`` with position, unit tangent and arc length ``s``. Voxels know a station near them.
+``offset[b]:offset[b + 1]`` with position, unit tangent and arc length ``s``. Voxels know a station near them, or have
+a negative number and are passed over.
 """
 
 import numpy as np
 
 from vascval.core.jit import njit
+
+
+@njit
+def reopen(label):
+    """Take back the stations of all voxels that have one."""
+    for i in range(label.size):
+        label[i] = min(label[i], -1)
+
+
+@njit
+def name_owners(label, point):
+    """The ``point`` of each voxel's station instead of the station; those coded ``-2 - point`` in clear; -1 stays."""
+    for i in range(label.size):
+        if label[i] >= 0:
+            label[i] = point[label[i]]
+        elif label[i] < -1:
+            label[i] = -2 - label[i]
+
+
+@njit
+def close(owner, is_open):
+    """Open the voxels whose owner is (-1), and close the others (``-2 - owner``)."""
+    for i in range(owner.size):
+        if owner[i] >= 0:
+            owner[i] = -1 if is_open[owner[i]] else -2 - owner[i]
 
 
 @njit
@@ -18,6 +44,9 @@ def relocate(station, branch, offset, position, tangent, arc, lattice, spacing):
         py, pz = (row % lattice.ny) * spacing[1], (row // lattice.ny) * spacing[2]
         for i in range(begin, lattice.span[r + 1, 2]):
             k = station[i]
+            if k < 0:
+                along[i] = 0.0
+                continue
             b = branch[k]
             px = (x + i - begin) * spacing[0]
             last = offset[b + 1] - 1
@@ -59,6 +88,8 @@ def centroids(station, n_stations, lattice, spacing):
         py, pz = (row % lattice.ny) * spacing[1], (row // lattice.ny) * spacing[2]
         for i in range(begin, lattice.span[r + 1, 2]):
             k = station[i]
+            if k < 0:
+                continue
             count[k] += 1.0
             total[k, 0] += (x + i - begin) * spacing[0]
             total[k, 1] += py
@@ -88,6 +119,8 @@ def section_sums(station, along, branch, position, tangent, low, high, ramp, nea
         py, pz = (row % lattice.ny) * spacing[1], (row // lattice.ny) * spacing[2]
         for i in range(begin, lattice.span[r + 1, 2]):
             k = station[i]
+            if k < 0:
+                continue
             b = branch[k]
             s = along[i]
             if s <= low[b] or s >= high[b]:
@@ -305,6 +338,8 @@ def voxels_beyond(along, station, branch, limit, sign, width):
     being softened over ``width`` mm so that no layer of voxels falls in or out at once."""
     result = np.zeros(limit.size)
     for i in range(along.size):
+        if station[i] < 0:
+            continue
         b = branch[station[i]]
         if sign[b] != 0:
             result[b] += min(1.0, max(0.0, (along[i] - limit[b]) * sign[b] / width + 0.5))
@@ -320,6 +355,8 @@ def reaches_border(along, station, branch, limit, sign, lattice, nx, nz):
         y, z, end = row % lattice.ny, row // lattice.ny, lattice.span[r + 1, 2]
         side = y == 0 or z == 0 or y == lattice.ny - 1 or z == nz - 1
         for i in range(begin, end):
+            if station[i] < 0:
+                continue
             at_border = side or (i == begin and x == 0) or (i == end - 1 and x + end - begin == nx)
             b = branch[station[i]]
             if at_border and sign[b] != 0 and (along[i] - limit[b]) * sign[b] > 0:

@@ -43,6 +43,16 @@ class Branches:
     def n(self) -> int:
         return int(self.parent.size)
 
+    @property
+    def first(self) -> np.ndarray:
+        """(s,) the point in which each branch begins."""
+        return self.point[self.offset[:-1]]
+
+    @property
+    def last(self) -> np.ndarray:
+        """(s,) the point in which each branch ends; of one branch alone."""
+        return self.point[self.offset[1:] - 1]
+
     def chain(self, branch: int) -> np.ndarray:
         return self.point[self.offset[branch] : self.offset[branch + 1]]
 

@@ -9,13 +9,13 @@ all directions and sections, which neither the voxel grid nor a rough surface bi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from vascval.imaging import _graph_kernels
 from vascval.imaging import _refine_kernels as kernels
+from vascval.imaging.first_guess import Nodes, Refined, first_guess
 from vascval.imaging.graph import Branches
 from vascval.imaging.voxels import Voxels
 
@@ -25,22 +25,6 @@ SMOOTHING_RADII = 2.0
 MIN_WINDOW = 0.15
 MAX_SHIFT_RADII = 1.0
 BEND_T = 3.0
-
-
-@dataclass(frozen=True, eq=False)
-class Refined:
-    """Geometry of the branches, in mm along the axes of the grid (voxel centre 0, 0, 0 at the origin).
-
-    * ``node_mm`` (s + 1, 3): node 0 is the root, node ``b + 1`` the distal end of branch ``b``.
-    * ``point_mm`` (m, 3), ``offset`` (s + 1,): the centreline of each branch, both nodes included.
-    * ``radius_mm``, ``radius_sd_mm`` (s,).
-    """
-
-    node_mm: np.ndarray
-    point_mm: np.ndarray
-    offset: np.ndarray
-    radius_mm: np.ndarray
-    radius_sd_mm: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,107 +62,58 @@ def refine(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thickness
     :param skeleton_voxel: (k,) voxel of each skeleton point.
     :param thickness_mm: (n,) distance map.
     """
-    nodes = _Nodes(tree)
-    now = _first_guess(voxels, tree, skeleton_voxel, thickness_mm[skeleton_voxel])
-    drawn = now
+    fixed, clear_mm = np.zeros(tree.n + 1, dtype=bool), np.zeros((tree.n, 2))
+    nodes = Nodes(tree.parent.astype(np.int64) + 1, np.arange(tree.n) + 1, fixed, clear_mm)
+    chains = [tree.chain(b) for b in range(tree.n)]
+    drawn = first_guess(voxels, nodes, chains, skeleton_voxel, thickness_mm)
+    return rounds(voxels, nodes, drawn, np.full(voxels.n, -1, dtype=np.int32), tree.last)
+
+
+def rounds(voxels: Voxels, nodes: Nodes, drawn: Refined, label: np.ndarray, last: np.ndarray) -> Refined:
+    """Improve a first guess ``ROUNDS`` times.
+
+    :param label: (n,) int32, overwritten: -1 for the voxels that may belong to these branches, and ``-2 - owner`` for
+        others.
+    :param last: the skeleton point in which each branch ends.
+    """
+    now = drawn
     for _ in range(ROUNDS):
-        now = _improve(voxels, nodes, now, drawn, _stations(voxels, now))
-    return now
+        stations = _stations(voxels, now, label)
+        now = _improve(voxels, nodes, now, drawn, stations)
+    kernels.name_owners(label, last.astype(np.int32)[stations.branch])
+    return replace(now, owner=label)
 
 
-def _first_guess(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thickness: np.ndarray) -> Refined:
-    """The voxel chains, smoothed over a few voxels between their fixed ends, and without their last stretch to a tip.
+def _stations(voxels: Voxels, now: Refined, label: np.ndarray) -> _Stations:
+    """Cross-sections every voxel along the branches, and for each voxel the one of least power distance.
 
-    A chain begins or ends at a tip in the surface voxel that is farthest away, on a blunt end in a corner; there it is
-    taken only as far as :func:`_full` holds.
+    :param label: as in :func:`rounds`, or the outcome of the round before; overwritten by the stations.
     """
-    index = voxels.index_xyz(skeleton_voxel)
-    centre = index * voxels.spacing_mm
-    to_border = (np.minimum(index, np.array(voxels.shape[::-1]) - 1 - index) * voxels.spacing_mm).min(axis=1)
-    n_children = np.bincount(tree.parent + 1, minlength=tree.n + 1)
-    step = float(voxels.spacing_mm.min())
-    radius, chains = np.zeros(tree.n), []
-    for b in range(tree.n):
-        chain = tree.chain(b)
-        radius[b] = np.median(thickness[chain])
-        stem = tree.parent[b] == -1 and n_children[0] == 1
-        first = _full(thickness[chain], to_border[chain], radius[b], step) if stem else 0
-        tip = n_children[b + 1] == 0
-        last = _full(thickness[chain][::-1], to_border[chain][::-1], radius[b], step) if tip else 0
-        line = centre[chain[first : chain.size - last]] if first + last < chain.size - 1 else centre[chain]
-        smooth = gaussian_filter1d(line, sigma=2.0, axis=0, mode="nearest")
-        smooth[0], smooth[-1] = line[0], line[-1]
-        chains.append(smooth)
-    offset = np.concatenate(([0], np.cumsum([len(line) for line in chains]))).astype(np.int64)
-    point = np.concatenate(chains)
-    node = np.concatenate((point[:1], point[offset[1:] - 1]))
-    return Refined(node, point, offset, radius, np.zeros(tree.n))
-
-
-def _full(thickness: np.ndarray, to_border: np.ndarray, typical: float, step_mm: float) -> int:
-    """How many points of a chain, seen from its tip, to leave out.
-
-    Up to where the distance map reaches half its typical value, but no more than that value; and, where the vessel
-    leaves the volume, up to where its inscribed ball fits in.
-    """
-    blunt = min(int(np.argmax(thickness >= 0.5 * typical)), int(typical / step_mm))
-    if to_border[0] > 0:
-        return blunt
-    return max(blunt, int(np.argmax(to_border >= np.minimum(thickness, 0.5 * to_border.max()))))
-
-
-class _Nodes:
-    """Which branches meet where: node 0 is the root, node ``b + 1`` the distal end of branch ``b``."""
-
-    def __init__(self, tree: Branches) -> None:
-        n = tree.n
-        self.proximal = tree.parent.astype(np.int64) + 1
-        self.distal = np.arange(n) + 1
-        node = np.concatenate((self.proximal, self.distal))
-        branch = np.concatenate((np.arange(n), np.arange(n)))
-        end = np.concatenate((np.zeros(n, dtype=np.int64), np.ones(n, dtype=np.int64)))
-        order = np.argsort(node, kind="stable")
-        self.branch, self.end = branch[order], end[order]
-        self.degree = np.bincount(node, minlength=n + 1)
-        self.offset = np.concatenate(([0], np.cumsum(self.degree)))
-
-    @property
-    def n(self) -> int:
-        return int(self.degree.size)
-
-    def thickest(self, radius_mm: np.ndarray) -> np.ndarray:
-        """(n,) the largest radius among the branches that meet at each node."""
-        result = np.zeros(self.n)
-        np.maximum.at(result, self.proximal, radius_mm)
-        np.maximum.at(result, self.distal, radius_mm)
-        return result
-
-
-def _stations(voxels: Voxels, now: Refined) -> _Stations:
-    """Cross-sections every voxel along the branches, and for each voxel the one of least power distance."""
     step = SECTION_VOXELS * float(voxels.spacing_mm.min())
     offset, position, tangent, arc, branch = kernels.make_stations(now.point_mm, now.offset, step, now.radius_mm)
-    seed = np.full(voxels.n, -1, dtype=np.int32)
+    kernels.reopen(label)
     at = voxels.find(np.rint(position / voxels.spacing_mm).astype(np.int64))
-    seed[at[at >= 0]] = np.flatnonzero(at >= 0)
+    seed = np.flatnonzero((at >= 0) & (label[at] == -1))
+    label[at[seed]] = seed
     grid = (voxels.lattice, voxels.spacing_mm)
-    of_voxel = _graph_kernels.nearest_points(seed, position, now.radius_mm[branch], *grid)
-    along = kernels.relocate(of_voxel, branch, offset, position, tangent, arc, *grid)
-    count, total = kernels.centroids(of_voxel, arc.size, *grid)
-    return _Stations(offset, position, tangent, arc, branch, of_voxel, along, count, total)
+    _graph_kernels.nearest_points(label, position, now.radius_mm[branch], *grid)
+    along = kernels.relocate(label, branch, offset, position, tangent, arc, *grid)
+    count, total = kernels.centroids(label, arc.size, *grid)
+    return _Stations(offset, position, tangent, arc, branch, label, along, count, total)
 
 
-def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, drawn: Refined, stations: _Stations) -> Refined:
+def _improve(voxels: Voxels, nodes: Nodes, now: Refined, drawn: Refined, stations: _Stations) -> Refined:
     """One round from the geometry ``now``, ``drawn`` being the first guess.
 
     Windows clear of the junctions, lines through them, nodes where the lines meet, centrelines, radii.
     """
-    low, high = _windows(nodes, now, stations, _outward(now, stations))
+    low, high = _windows(nodes, stations, _clearance(nodes, now, _outward(now, stations)))
     lines = _lines(nodes, now, stations, low, high)
-    low, high = _windows(nodes, now, stations, _outward(now, stations, lines))
+    clear = _clearance(nodes, now, _outward(now, stations, lines))
+    low, high = _windows(nodes, stations, clear)
     lines = _lines(nodes, now, stations, low, high)
-    radius = _radii(voxels, now, drawn.radius_mm, stations, low, high)
-    node = _solve_nodes(nodes, now, lines, drawn.node_mm)
+    radius = _radii(voxels, nodes, now, drawn.radius_mm, stations, low, high)
+    node = np.where(nodes.fixed[:, None], now.node_mm, _solve_nodes(nodes, now, lines, drawn.node_mm))
     _place_tips(voxels, nodes, stations, lines, radius, low, high, node)
     width = SMOOTHING_RADII * np.maximum(radius, float(voxels.spacing_mm.max()))
     centre = kernels.smooth_centres(
@@ -186,7 +121,7 @@ def _improve(voxels: Voxels, nodes: _Nodes, now: Refined, drawn: Refined, statio
         low, high, width,
     )  # fmt: skip
     point, offset = _assemble(nodes, stations, centre, node, lines, low, high)
-    return Refined(node, point, offset, radius, _radius_scatter(voxels, stations, low, high))
+    return Refined(node, point, offset, radius, _radius_scatter(voxels, stations, low, high), clear, now.owner)
 
 
 def _outward(now: Refined, stations: _Stations, lines: _Fit | None = None) -> np.ndarray:
@@ -202,23 +137,27 @@ def _outward(now: Refined, stations: _Stations, lines: _Fit | None = None) -> np
     return direction
 
 
-def _windows(nodes: _Nodes, now: Refined, stations: _Stations, outward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _clearance(nodes: Nodes, now: Refined, outward: np.ndarray) -> np.ndarray:
+    """(s, 2) how far from its two nodes each branch comes clear of the other branches there, or of a rounded tip."""
+    before, after = np.zeros(nodes.n_branches), np.zeros(nodes.n_branches)
+    kernels.clearance(outward, now.radius_mm, nodes.offset, nodes.branch, nodes.end, before, after)
+    ends = np.stack((nodes.proximal, nodes.distal), axis=1)
+    clear = np.where(nodes.tip[ends], now.radius_mm[:, None], np.stack((before, after), axis=1))
+    return np.where(nodes.fixed[ends], nodes.clear_mm, clear)
+
+
+def _windows(nodes: Nodes, stations: _Stations, clear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(s,), (s,) the stretch of arc length of each branch that is clear of junctions and rounded tips.
 
     Where a branch is too short for that, at least ``MIN_WINDOW`` of its length about the middle of what is clear.
     """
-    before, after = np.zeros(nodes.n - 1), np.zeros(nodes.n - 1)
-    kernels.clearance(outward, now.radius_mm, nodes.offset, nodes.branch, nodes.end, before, after)
-    tip = nodes.degree == 1
-    before[tip[nodes.proximal]] = now.radius_mm[tip[nodes.proximal]]
-    after[tip[nodes.distal]] = now.radius_mm[tip[nodes.distal]]
     length = stations.length
-    excess = (before + after) / np.maximum((1 - MIN_WINDOW) * length, 1e-300)
-    shrink = np.maximum(1.0, excess)
-    return before / shrink, length - after / shrink
+    excess = clear.sum(axis=1) / np.maximum((1 - MIN_WINDOW) * length, 1e-300)
+    before, after = (clear / np.maximum(1.0, excess)[:, None]).T
+    return before, length - after
 
 
-def _lines(nodes: _Nodes, now: Refined, stations: _Stations, low: np.ndarray, high: np.ndarray) -> _Fit:
+def _lines(nodes: Nodes, now: Refined, stations: _Stations, low: np.ndarray, high: np.ndarray) -> _Fit:
     """Lines through the sections next to each junction, as long as the vessels there are thick."""
     thickest = nodes.thickest(now.radius_mm)
     parts = []
@@ -233,7 +172,7 @@ def _lines(nodes: _Nodes, now: Refined, stations: _Stations, low: np.ndarray, hi
     return _Fit(centre, direction, weight)
 
 
-def _solve_nodes(nodes: _Nodes, now: Refined, lines: _Fit, drawn_mm: np.ndarray) -> np.ndarray:
+def _solve_nodes(nodes: Nodes, now: Refined, lines: _Fit, drawn_mm: np.ndarray) -> np.ndarray:
     """Junctions as the points closest, in weighted least squares, to the lines that meet there.
 
     Lines at an acute angle may meet far away: no junction moves farther than ``MAX_SHIFT_RADII`` times the thickest
@@ -261,7 +200,7 @@ def _solve_nodes(nodes: _Nodes, now: Refined, lines: _Fit, drawn_mm: np.ndarray)
 
 def _place_tips(
     voxels: Voxels,
-    nodes: _Nodes,
+    nodes: Nodes,
     stations: _Stations,
     lines: _Fit,
     radius: np.ndarray,
@@ -279,7 +218,7 @@ def _place_tips(
     cell = float(np.prod(voxels.spacing_mm))
     reach = np.maximum(np.minimum(4.0 * radius, high - low), 1e-9)
     for end, of_branch, limit, sign in ((0, nodes.proximal, low, -1), (1, nodes.distal, high, 1)):
-        tip = nodes.degree[of_branch] == 1
+        tip = nodes.tip[of_branch]
         signs = np.where(tip, sign, 0)
         voxel_of = (stations.along, stations.of_voxel, stations.branch)
         beyond = kernels.voxels_beyond(*voxel_of, limit, signs, 2.0 * step) * cell
@@ -306,7 +245,13 @@ def _point_at(stations: _Stations, branch: int, arc: float) -> np.ndarray:
 
 
 def _radii(
-    voxels: Voxels, now: Refined, coarse: np.ndarray, stations: _Stations, low: np.ndarray, high: np.ndarray
+    voxels: Voxels,
+    nodes: Nodes,
+    now: Refined,
+    coarse: np.ndarray,
+    stations: _Stations,
+    low: np.ndarray,
+    high: np.ndarray,
 ) -> np.ndarray:
     """(s,) mean radius of each branch over all directions and sections between ``low`` and ``high``.
 
@@ -328,7 +273,7 @@ def _radii(
         low, high, ramp, near, voxels.lattice, voxels.spacing_mm,
     )  # fmt: skip
     radius = total * cell / (2.0 * np.pi * np.maximum(window - ramp, 1e-9))
-    chord = now.node_mm[1:] - stations.position[stations.offset[:-1]]
+    chord = now.node_mm[nodes.distal] - stations.position[stations.offset[:-1]]
     share = chord**2 / np.maximum((chord**2).sum(axis=1, keepdims=True), 1e-300)
     across = ((1.0 - share) * voxels.spacing_mm**2).sum(axis=1) / 2.0
     radius += across / (24.0 * np.clip(radius, 0.5 * step, near))
@@ -350,7 +295,7 @@ def _radius_scatter(voxels: Voxels, stations: _Stations, low: np.ndarray, high: 
 
 
 def _assemble(
-    nodes: _Nodes,
+    nodes: Nodes,
     stations: _Stations,
     centre: np.ndarray,
     node: np.ndarray,
@@ -369,7 +314,7 @@ def _assemble(
     early = stations.arc < 0.5 * stations.length[branch]
     inside = (stations.arc > low[branch]) & (stations.arc < high[branch]) & (stations.count > 0)
     inside &= np.where(early, ahead, behind)
-    n = nodes.n - 1
+    n = nodes.n_branches
     of = np.concatenate((branch[inside], np.arange(n), np.arange(n)))
     key = np.concatenate((stations.arc[inside], np.full(n, -np.inf), np.full(n, np.inf)))
     point = np.concatenate((centre[inside], node[nodes.proximal], node[nodes.distal]))

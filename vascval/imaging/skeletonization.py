@@ -16,9 +16,11 @@ from vascval.imaging import runs as run_code
 from vascval.imaging._geodesic_kernels import nearest_voxel
 from vascval.imaging.breaks import Joined, join_breaks
 from vascval.imaging.distance import distance_map
+from vascval.imaging.first_guess import Refined
 from vascval.imaging.graph import Branches, Loops, SkeletonGraph
 from vascval.imaging.memory import Budget, budget
-from vascval.imaging.refine import Refined, refine
+from vascval.imaging.refine import refine
+from vascval.imaging.renewal import renew
 from vascval.imaging.runs import Runs
 from vascval.imaging.selection import select
 from vascval.imaging.thinning import thin
@@ -227,18 +229,20 @@ class _Fitted:
 
 
 def _fit(voxels: Voxels, drawn: _Drawn, thickness: np.ndarray) -> _Fitted:
-    """Refine, drop the terminals that end inside the vessel they spring from, and refine again until none does."""
-    ends = drawn.ends
+    """Refine, drop the terminals that end inside the vessel they spring from, and refine there until none does."""
+    ends, voxel = drawn.ends, drawn.skeleton.voxel
     spurs: list[int] = []
+    tree = graph.branches(drawn.order, drawn.parent, ends)
+    geometry = refine(voxels, tree, voxel, thickness)
     while True:
-        tree = graph.branches(drawn.order, drawn.parent, ends)
-        geometry = refine(voxels, tree, drawn.skeleton.voxel, thickness)
         spur = _spurs(tree, geometry)
         if spur.size == 0 or spur.size == ends.size:
-            return _Fitted(tree, geometry, drawn.skeleton.voxel[np.array(spurs, dtype=np.int64)])
-        gone = tree.point[tree.offset[spur + 1] - 1]
+            return _Fitted(tree, geometry, voxel[np.array(spurs, dtype=np.int64)])
+        gone = tree.last[spur]
         spurs.extend(gone.tolist())
         ends = np.setdiff1d(ends, gone)
+        before, tree = tree, graph.branches(drawn.order, drawn.parent, ends)
+        geometry = renew(voxels, tree, voxel, thickness, before, geometry)
 
 
 def _spurs(tree: Branches, geometry: Refined) -> np.ndarray:
