@@ -33,6 +33,8 @@ that of the best ones once more, with terminals held at their shortest length by
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +49,7 @@ from generator.topology.state import SHORTEST_MM, SearchTree
 from vascval.core.errors import ComputationError, InputError
 from vascval.core.tree import Topology, Tree
 
+Observer = Callable[[str, float, float], None]
 MOST = 10
 """Terminals beyond which the search is refused; each takes about ten times longer than the one before."""
 _SAME = 1e-9
@@ -64,9 +67,12 @@ class Optimum:
     n_optimised: int
 
 
-def optimal_tree(root_mm: np.ndarray, terminals_mm: np.ndarray, perfusion: Perfusion) -> Optimum:
+def optimal_tree(
+    root_mm: np.ndarray, terminals_mm: np.ndarray, perfusion: Perfusion, observer: Observer | None = None
+) -> Optimum:
     """The tree of least volume from the root (3,) to 2 to 10 terminals (N, 3), over all topologies.
 
+    :param observer: called with ``"topologies"``, how many are optimised or cut off, and how many there are.
     :raises InputError: when there are fewer or more terminals, or points coincide.
     """
     terminals = np.asarray(terminals_mm, dtype=np.float64)
@@ -79,13 +85,12 @@ def optimal_tree(root_mm: np.ndarray, terminals_mm: np.ndarray, perfusion: Perfu
     points = np.vstack((root, terminals))
     if not np.isfinite(points).all() or len(np.unique(points, axis=0)) < len(points):
         raise InputError("root and terminals must be finite and all different; mend or drop some")
-    search = _Search(_far_apart_first(points), perfusion)
+    search = _Search(_far_apart_first(points), perfusion, observer or (lambda stage, done, total: None))
     up = np.full(2 * len(terminals), -1, np.int64)
     up[1] = 0
     search.extend(up, 1)
     tree = search.best_tree()
-    count = int(np.prod(np.arange(1, 2 * len(terminals) - 2, 2)))
-    return Optimum(tree, count, search.n_bounded, search.n_optimised)
+    return Optimum(tree, search.n_topologies, search.n_bounded, search.n_optimised)
 
 
 def _far_apart_first(points: np.ndarray) -> np.ndarray:
@@ -98,8 +103,8 @@ def _far_apart_first(points: np.ndarray) -> np.ndarray:
 
 
 class _Search:
-    def __init__(self, points: np.ndarray, perfusion: Perfusion) -> None:
-        self.points, self.perfusion = points, perfusion
+    def __init__(self, points: np.ndarray, perfusion: Perfusion, observer: Observer) -> None:
+        self.points, self.perfusion, self.observer = points, perfusion, observer
         self.size_mm = float(np.ptp(points, axis=0).max())
         self.root_tree = RootTree.point(points[0])
         n_terminals = len(points) - 1
@@ -107,7 +112,8 @@ class _Search:
         self.scale = np.pi * np.sqrt(perfusion.kappa_pa_s * flow / perfusion.pressure_drop_pa)
         self.found: list[tuple[float, np.ndarray, np.ndarray]] = []
         self.volume = np.inf
-        self.n_bounded = self.n_optimised = 0
+        self.n_bounded = self.n_optimised = self._n_decided = 0
+        self.n_topologies = self._n_from(1)
 
     @property
     def enough(self) -> float:
@@ -118,15 +124,25 @@ class _Search:
         """All trees that come from one of ``grown`` terminals, the most promising first."""
         if grown == len(self.points) - 1:
             self.optimise(up)
+            self._decide(1)
             return
         edges, bounds = kernels.bounds_of_insertions(up, self.points, grown, self.size_mm, self.enough)
         self.n_bounded += len(bounds)
-        for k in np.argsort(bounds, kind="stable"):
+        for cut, k in enumerate(np.argsort(bounds, kind="stable")):
             if bounds[k] >= self.enough:
+                self._decide((len(bounds) - cut) * self._n_from(grown + 1))
                 break
             further = up.copy()
             kernels.insert(further, len(self.points) - 1, grown, edges[k])
             self.extend(further, grown + 1)
+
+    def _n_from(self, grown: int) -> int:
+        """Topologies that come from one of ``grown`` terminals: a new segment goes to each of ``2 grown - 1``."""
+        return math.prod(range(2 * grown - 1, 2 * len(self.points) - 4, 2))
+
+    def _decide(self, n_more: int) -> None:
+        self._n_decided += n_more
+        self.observer("topologies", self._n_decided, self.n_topologies)
 
     def optimise(self, up: np.ndarray) -> None:
         """The volume of a whole tree; it is kept if it is the best."""

@@ -62,6 +62,18 @@ def test_number_of_topologies(n, count):
     assert optimal_tree(points[0], points[1:], LAW).n_topologies == count
 
 
+@pytest.mark.parametrize("n", [2, 3, 6, 7])
+def test_every_topology_is_decided_once(n):
+    """Optimised, or cut off with the branch that it is on; what is shown of it only rises."""
+    points = np.vstack((ROOT, BOX.sample(n, np.random.default_rng(n))))
+    told = []
+    found = optimal_tree(points[0], points[1:], LAW, lambda *what: told.append(what))
+    done = [count for _, count, _ in told]
+    assert done == sorted(done)
+    assert told[-1] == ("topologies", found.n_topologies, found.n_topologies)
+    assert len(told) >= found.n_optimised
+
+
 def below(tree, top, n):
     """The terminals below a node."""
     return {top} if top <= n else set().union(*(below(tree, i, n) for i, p in tree.items() if p == top))

@@ -228,10 +228,8 @@ def _found(run: Run) -> Outcome:
                     observer(name, step.n_terminals, step.n_target)
         searched = run.tree()
         terminals = searched.position_mm[searched.topology.terminals]
-        if observer is not None:
-            observer("all topologies", 0, 1)
         began = time.perf_counter()
-        best = optimal_tree(searched.position_mm[0], terminals, run.growth.perfusion)
+        best = optimal_tree(searched.position_mm[0], terminals, run.growth.perfusion, observer)
     return Outcome(run, searched, best, time.perf_counter() - began)
 
 
