@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from generator.ensemble.plan import Order
-from generator.ensemble.work import Failed, Grown, Measure, make, warm_up
+from generator.ensemble.work import STAGES, Failed, Grown, Measure, make, warm_up
 from generator.ensemble.workers import by_host, n_threads
 from vascval.core.errors import ComputationError
 
@@ -82,7 +82,7 @@ def warm(client: Client, order: Order, measure: Measure) -> list[str]:
 
 
 def run(client: Client, orders: Sequence[Order], measure: Measure) -> Generator[Event, None, None]:
-    """Makes the trees and yields what happens; closing the iterator calls the rest off.
+    """Makes the trees, large ones first, and yields what happens; closing the iterator calls the rest off.
 
     There are never more trees out than workers, and a worker has no new one before the last one is here: what is lost
     with a worker is the tree that it was at. That is made again, up to three times.
@@ -90,7 +90,7 @@ def run(client: Client, orders: Sequence[Order], measure: Measure) -> Generator[
     :raises ComputationError: when the scheduler is lost.
     """
     crew = _Crew(client, measure)
-    pending, losses, begun = deque(orders), Counter[str](), set[str]()
+    pending, losses, begun = deque(sorted(orders, key=_effort, reverse=True)), Counter[str](), set[str]()
     deserted = False
     try:
         while pending or crew.out:
@@ -113,6 +113,11 @@ def run(client: Client, orders: Sequence[Order], measure: Measure) -> Generator[
                     yield Finished(happened.order, Failed(_ALL_LOST))
     finally:
         crew.dismiss()
+
+
+def _effort(order: Order) -> tuple[int, int]:
+    """Trees that take longer compare higher, so that none of them is begun when all else is done."""
+    return STAGES[order.config.method], order.config.n_terminals
 
 
 class _Crew:

@@ -29,7 +29,8 @@ Measure = Callable[[Tree, str], dict[str, Any]]
 """Takes a tree and what it is called, gives a JSON document. A function that can be pickled by its name."""
 Report = Callable[[dict[str, Any]], None]
 _SECONDS_BETWEEN_REPORTS = 0.5
-_STAGES = {"cco": 1, "geometry": 2, "full": 3}
+STAGES = {"cco": 1, "geometry": 2, "full": 3}
+"""How many each method has."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,7 @@ def _drive(run: Run, name: str, report: Report) -> None:
             done[stage] = step.n_terminals / max(step.n_target, 1)
         if time.perf_counter() - last >= _SECONDS_BETWEEN_REPORTS:
             last = time.perf_counter()
-            report({"name": name, "share": min(sum(done.values()) / _STAGES[run.config.method], 1.0)})
+            report({"name": name, "share": min(sum(done.values()) / STAGES[run.config.method], 1.0)})
 
 
 def _file(tree: Tree, origin: dict[str, Any], claims: Claims) -> bytes:

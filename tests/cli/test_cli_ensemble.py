@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 
 import jsonschema
@@ -307,11 +307,10 @@ def test_one_bar_for_all_workers(tmp_path, monkeypatch):
     ]
     shown: list[tuple] = []
     monkeypatch.setattr(running, "run", lambda *_: (event for event in events))
-    monkeypatch.setattr(command, "progress", lambda: nullcontext(lambda *what: shown.append(what)))
     manifest = Manifest.of(plan("karch-box", ("n_terminals=20",), (), 3), tmp_path / "manifest.json", tmp_path)
     with logged() as log:
         log.begin(tmp_path / "log")
-        assert command._drive(None, list(orders[1:]), 3, manifest, log) == 0
+        assert command._drive(None, list(orders[1:]), 3, manifest, log, lambda *what: shown.append(what)) == 0
     assert shown == [("trees", done, 3) for done in (1.0, 1.0, 1.5, 1.75, 1.25, 2.0, 3.0)]
     lines = [line.split(" ", 2)[2] for line in log_of(tmp_path).splitlines()]
     assert lines[2:4] == ["seed-2: begun again, its worker was lost on b", "seed-3: failed: no room"]

@@ -128,6 +128,15 @@ def test_a_worker_lost_costs_its_own_tree(client):
     assert len({result.worker for result in results.values() if isinstance(result, Grown)}) > 1
 
 
+def test_large_trees_come_first(client):
+    """Of all methods the slowest, and of those the largest."""
+    wanted = plan("karch-box", ("topology.tests=50",), ("n_terminals=6,60", "method=cco,full"), 1).orders
+    begun = [event.name for event in run(client, wanted, volume) if isinstance(event, Begun)]
+    method = [name.split("method-")[1].split("_")[0] for name in begun]
+    assert method == ["full", "full", "cco", "cco"]
+    assert set(begun) == {order.name for order in wanted}
+
+
 def test_errors_that_nobody_foresaw_are_told(client):
     (order,) = orders(seeds=1)
     (event,) = (event for event in run(client, [order], broken) if isinstance(event, Finished))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from vascval.cli import sources
-from vascval.cli.console import note, progress, say, table, write_json
+from vascval.cli.console import Observer, note, progress, say, table, write_json
 from vascval.cli.options import json_option
 from vascval.core.errors import ComputationError
 
@@ -134,7 +134,10 @@ def _make(planned: Plan, manifest: Manifest, log: Log, scheduler: str | None, wo
     if not missing:
         log.begin(manifest.folder / "log")
         return effort
-    with connected(scheduler, min(workers or os.cpu_count() or 1, len(missing))) as client:
+    with progress() as observer, ExitStack() as stack:
+        if observer is not None:
+            observer("starting workers", 0, len(missing))
+        client = stack.enter_context(connected(scheduler, min(workers or os.cpu_count() or 1, len(missing))))
         manifest.folder.mkdir(exist_ok=True)
         log.begin(manifest.folder / "log")
         manifest.write()
@@ -145,7 +148,7 @@ def _make(planned: Plan, manifest: Manifest, log: Log, scheduler: str | None, wo
             log.say(f"kernels were not compiled beforehand: {reason}")
         began = time.perf_counter()
         try:
-            effort.n_made = _drive(client, missing, len(planned.orders), manifest, log)
+            effort.n_made = _drive(client, missing, len(planned.orders), manifest, log, observer)
         except KeyboardInterrupt:
             left = len(manifest.missing(planned))
             log.say(f"interrupted, {left} trees missing")
@@ -158,14 +161,16 @@ def _make(planned: Plan, manifest: Manifest, log: Log, scheduler: str | None, wo
 _SHOWN = ("n_terminals", "n_segments", "n_trifurcations", "total_length_mm", "volume_mm3")
 
 
-def _drive(client: Client, missing: list[Order], n_trees: int, manifest: Manifest, log: Log) -> int:
+def _drive(
+    client: Client, missing: list[Order], n_trees: int, manifest: Manifest, log: Log, observer: Observer | None
+) -> int:
     """Keeps each tree as it comes, with the bar and the log; how many were made."""
     from generator.ensemble.running import Begun, Deserted, Share, run
     from generator.ensemble.work import Grown
 
     shares: dict[str, float] = {}
     n_made, n_there = 0, n_trees - len(missing)
-    with progress() as observer, closing(run(client, missing, measured)) as events:
+    with closing(run(client, missing, measured)) as events:
         for event in events:
             if isinstance(event, Begun):
                 again = " again, its worker was lost" if event.again else ""
