@@ -94,8 +94,8 @@ def test_distance_map_is_exact(mask: np.ndarray) -> None:
 
 
 @settings(deadline=None, max_examples=40)
-@given(masks)
-def test_neighbours_and_geodesic_distance_are_those_of_the_voxel_graph(mask: np.ndarray) -> None:
+@given(masks, st.sampled_from([0.4, 2.0, 50.0]))
+def test_neighbours_and_geodesic_distance_are_those_of_the_voxel_graph(mask: np.ndarray, width: float) -> None:
     listed = voxels.from_runs(as_runs(mask), SPACING)
     at = listed.index_xyz()
     number = np.full(mask.shape, -1)
@@ -110,7 +110,8 @@ def test_neighbours_and_geodesic_distance_are_those_of_the_voxel_graph(mask: np.
         assert sorted(out[:m].tolist()) == np.flatnonzero(near).tolist()
         pairs += [(i, j) for j in out[:m].tolist()]
         lengths += step[code[:m]].tolist()
-    way = _geodesic_kernels.geodesic(0, listed.lattice, step)
+    way = np.full(listed.n, np.inf)
+    _geodesic_kernels.geodesic(0, listed.lattice, step, width, way)
     if not pairs:
         assert way.tolist()[0] == 0.0
         return
@@ -120,6 +121,30 @@ def test_neighbours_and_geodesic_distance_are_those_of_the_voxel_graph(mask: np.
     reached = np.isfinite(expected)
     assert np.array_equal(np.isfinite(way), reached)
     assert np.abs(way[reached] - expected[reached]).max() < 1e-9  # sums of the same steps in another order
+
+
+def test_geodesic_distance_is_the_same_bit_for_bit_across_tiles() -> None:
+    """A lump, a sheet and threads over several tiles, against relaxation of all edges until nothing changes."""
+    rng = np.random.default_rng(1)
+    mask = ndimage.gaussian_filter(rng.normal(size=(100, 90, 12)), 2.0) > 0.02
+    mask[60] = True
+    parts = runs.components(as_runs(mask))
+    listed = voxels.from_runs(runs.keep(as_runs(mask), parts.label, np.arange(parts.size_voxels.size) == 0), SPACING)
+    at, step = listed.index_xyz(), step_lengths(SPACING)
+    offset = np.stack((np.arange(27) % 3 - 1, np.arange(27) // 3 % 3 - 1, np.arange(27) // 9 - 1), axis=1)
+    near = {c: listed.find(at + offset[c]) for c in range(27) if c != 13}
+    expected = np.full(listed.n + 1, np.inf)
+    expected[listed.n // 3] = 0.0
+    while True:
+        nearer = np.min([expected[neighbour] + step[c] for c, neighbour in near.items()], axis=0)
+        nearer = np.minimum(nearer, expected[:-1])
+        if np.array_equal(nearer, expected[:-1]):
+            break
+        expected[:-1] = nearer
+    for width in (1.0, 20.0):
+        way = np.full(listed.n, np.inf)
+        _geodesic_kernels.geodesic(listed.n // 3, listed.lattice, step, width, way)
+        assert np.array_equal(way, nearer)
 
 
 @settings(deadline=None, max_examples=300)

@@ -62,64 +62,106 @@ def nearest_voxel(point, lattice, spacing):
     return nearest, np.sqrt(least)
 
 
+TILE = 32
+"""Rows and slices of a tile of :func:`geodesic`."""
+
+
 @njit
-def geodesic(source, lattice, step):
+def push(pool, head, slot, voxel, key, free):
+    """Put an entry at the head of a list of the ``pool`` (voxel, key, next); returns the pool and its next free entry.
+
+    ``free`` (2,) holds the first entry given back, or -1, and the number of entries ever used.
+    """
+    e = free[0]
+    if e >= 0:
+        free[0] = pool[e, 2]
+    else:
+        e = free[1]
+        free[1] += 1
+        if e == pool.shape[0]:
+            pool = np.concatenate((pool, np.empty((e, 3), pool.dtype)))
+    pool[e, 0], pool[e, 1], pool[e, 2] = voxel, key, head[slot]
+    head[slot] = e
+    return pool
+
+
+@njit
+def geodesic(source, lattice, step, width, distance):
     """Shortest-path distance from a voxel through 26-neighbours, ``step`` (27,) being the length of each step.
 
-    Dijkstra's algorithm with buckets no wider than the shortest step: within one bucket nothing can improve
-    another, so the distances are exact. The queue is as long as the front is wide.
+    The distances are settled epoch by epoch, each ``width`` mm farther; within an epoch, tile by tile of the (y, z)
+    plane, which fits the cache where the front of a large tree does not; within a tile, in buckets no wider than the
+    shortest step. A tile that a neighbour has brought nearer is taken up again. Nothing is left to improve at the
+    end: the distances are those of Dijkstra's algorithm, whatever the tiles and the width.
+
+    :param distance: (n,) infinite, is filled.
     """
-    distance = np.full(lattice.run.size, np.inf)
-    shortest = np.inf
-    longest = 0.0
-    for c in range(27):
-        if c != 13:
-            shortest = min(shortest, step[c])
-            longest = max(longest, step[c])
-    n_buckets = int(longest / shortest) + 3
-    head = np.full(n_buckets, -1, np.int64)
-    # a voxel is queued anew at each improvement; entries that a later one has overtaken are passed over
-    entry, follow, key = np.empty(1024, np.int32), np.empty(1024, np.int64), np.empty(1024, np.int64)
-    entry[0], follow[0], key[0] = source, -1, 0
-    head[0] = 0
-    used, free, waiting, bucket = 1, -1, 1, 0
-    distance[source] = 0.0
+    shortest = min(step[12], step[10], step[4])
+    n_buckets = int(width / shortest) + 2
+    ny = lattice.ny
+    tiles_y = (ny - 1) // TILE + 1
+    n_tiles = tiles_y * ((lattice.span[:-1, 0].max() // ny) // TILE + 1)
+    later, head = np.full(n_tiles, -1, np.int32), np.full(n_buckets, -1, np.int32)
+    is_due = np.zeros(n_tiles, np.bool_)
+    due, n_due = np.empty(n_tiles, np.int32), 0
+    pool, free = np.empty((1024, 3), np.int32), np.array([-1, 0])
     out, code = np.empty(26, np.int64), np.empty(26, np.int64)
-    while waiting > 0:
-        slot = bucket % n_buckets
-        e = head[slot]
-        if e < 0:
-            bucket += 1
-            continue
-        head[slot] = follow[e]
-        follow[e] = free
-        free = e
-        waiting -= 1
-        i = entry[e]
-        if key[e] != int(distance[i] / shortest):
-            continue
-        for t in range(neighbours(i, lattice, out, code)):
-            j = out[t]
-            d = distance[i] + step[code[t]]
-            if d >= distance[j]:
-                continue
-            distance[j] = d
-            if free < 0:
-                if used == entry.size:
-                    entry = np.concatenate((entry, np.empty(used, np.int32)))
-                    follow = np.concatenate((follow, np.empty(used, np.int64)))
-                    key = np.concatenate((key, np.empty(used, np.int64)))
-                follow[used] = -1
-                free = used
-                used += 1
-            e = free
-            free = follow[e]
-            k = int(d / shortest)
-            slot = k % n_buckets
-            entry[e], follow[e], key[e] = j, head[slot], k
-            head[slot] = e
-            waiting += 1
-    return distance
+    row = lattice.span[lattice.run[source], 0]
+    pool = push(pool, later, row // ny // TILE * tiles_y + row % ny // TILE, source, 0, free)
+    distance[source] = 0.0
+    first = 0
+    while True:
+        # keys count from the beginning of the epoch's first bucket
+        for tile in range(n_tiles):
+            if later[tile] >= 0:
+                due[n_due], is_due[tile] = tile, True
+                n_due += 1
+        if n_due == 0:
+            return
+        last = first + n_buckets
+        while n_due > 0:
+            n_due -= 1
+            tile = due[n_due]
+            is_due[tile] = False
+            e, later[tile] = later[tile], -1
+            low = n_buckets
+            while e >= 0:
+                i, key, follow = pool[e]
+                if key == int(distance[i] / shortest):
+                    k = key - first
+                    if key < last:
+                        low = min(low, k)
+                        pool[e, 2], head[k] = head[k], e
+                    else:
+                        pool[e, 2], later[tile] = later[tile], e
+                else:
+                    pool[e, 2], free[0] = free[0], e
+                e = follow
+            for bucket in range(low, n_buckets):
+                while head[bucket] >= 0:
+                    e = head[bucket]
+                    i, key, head[bucket] = pool[e]
+                    pool[e, 2], free[0] = free[0], e
+                    if key != int(distance[i] / shortest):
+                        continue
+                    row = lattice.span[lattice.run[i], 0]
+                    y, z = row % ny, row // ny
+                    for t in range(neighbours(i, lattice, out, code)):
+                        j, c = out[t], code[t]
+                        d = distance[i] + step[c]
+                        if d >= distance[j]:
+                            continue
+                        distance[j] = d
+                        key = int(d / shortest)
+                        there = (z + c // 9 - 1) // TILE * tiles_y + (y + c // 3 % 3 - 1) // TILE
+                        if there == tile and key < last:
+                            pool = push(pool, head, key - first, j, key, free)
+                            continue
+                        pool = push(pool, later, there, j, key, free)
+                        if key < last and not is_due[there] and there != tile:
+                            due[n_due], is_due[there] = there, True
+                            n_due += 1
+        first = last
 
 
 @njit

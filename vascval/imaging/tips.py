@@ -12,6 +12,7 @@ from vascval.imaging.voxels import Voxels
 SALIENCE_RADII = 0.5
 DECAY = 0.45
 NOTICE_VOXELS = 1.5
+EPOCH_VOXELS = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +50,12 @@ def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     offset = np.stack((code % 3 - 1, code // 3 % 3 - 1, code // 9 - 1), axis=1)
     step = np.sqrt(((offset * spacing) ** 2).sum(axis=1))
     lattice = voxels.lattice
-    source = int(np.argmax(kernels.geodesic(int(np.argmax(thickness_mm)), lattice, step)))
-    way = kernels.geodesic(source, lattice, step)
+    width = EPOCH_VOXELS * float(spacing.max())
+    way = np.full(voxels.n, np.inf)
+    kernels.geodesic(int(np.argmax(thickness_mm)), lattice, step, width, way)
+    source = int(np.argmax(way))
+    way[:] = np.inf
+    kernels.geodesic(source, lattice, step, width, way)
     tip, saddle, widest = kernels.maxima(kernels.descending(way), way, thickness_mm, lattice)
     persistence = np.where(saddle < 0, np.inf, way[tip] - way[saddle])
     voxel_mm = float(np.cbrt(np.prod(spacing)))
