@@ -274,7 +274,8 @@ def test_persistence_of_maxima_by_hand() -> None:
     listed = voxels.from_runs(as_runs(mask), np.ones(3))
     way = listed.index_xyz()[:, :2].sum(axis=1).astype(np.float64)
     order = np.argsort(-way, kind="stable").astype(np.int32)
-    tip, saddle, _ = _geodesic_kernels.maxima(order, way, np.ones(listed.n), listed.lattice)
+    scratch = np.full(listed.n, -1, dtype=np.int32), np.empty(listed.n, dtype=np.int32)
+    tip, saddle, _ = _geodesic_kernels.maxima(order, way, np.ones(listed.n), listed.lattice, *scratch)
     found = {tuple(listed.index_xyz(t)): (way[t] - way[s] if s >= 0 else np.inf) for t, s in zip(tip, saddle)}
     assert set(found) == {(27, 2, 1), (15, 8, 1)}
     assert found[27, 2, 1] == np.inf

@@ -199,17 +199,16 @@ def descending(height):
 
 
 @njit
-def maxima(order, height, thickness, lattice):
+def maxima(order, height, thickness, lattice, up, thickest):
     """Local maxima of ``height`` and the saddles at which they are overtaken, by a sweep from high to low.
 
     :param order: voxels by descending height, the smaller number first among equals.
+    :param up: (n,) int32, -1, is overwritten; so is ``thickest``.
     :returns: for each maximum its voxel, the saddle's voxel (-1 for the highest of a component) and the largest
         ``thickness`` in what hung on it before the saddle.
     """
     n = order.size
     # the root of each component is its peak, which the sweep reached first
-    up = np.full(n, -1, np.int32)
-    thickest = np.empty(n, np.int32)
     tip, saddle, widest = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024)
     count = 0
     out = np.empty(26, np.int64)

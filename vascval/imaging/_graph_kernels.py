@@ -133,14 +133,15 @@ def mark_paths(parent, ends):
 
 
 @njit
-def nearest_points(label, centre, radius, lattice, spacing):
+def nearest_points(label, centre, radius, lattice, spacing, best):
     """For each voxel the skeleton point of least power distance ``|v - centre|^2 - radius^2``, spread from neighbour
     to neighbour; ``label`` holds the skeleton point of the voxels that are one and -1 elsewhere, and is overwritten.
     Voxels of a label below -1 keep it.
+
+    :param best: (n,) infinite, becomes the least power distance.
     """
     n = label.size
     span, run, ny = lattice.span, lattice.run, lattice.ny
-    best = np.full(n, np.inf)
     queue = np.empty(n + 1, np.int32)
     waiting = np.zeros(n, np.bool_)
     axis_x, axis_y, axis_z = np.arange(27) % 3, np.arange(27) // 3 % 3, np.arange(27) // 9

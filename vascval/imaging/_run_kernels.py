@@ -244,10 +244,9 @@ def merge_runs(row_offset, start, stop, more_offset, more_start, more_stop):
 
 
 @njit
-def spans(row_offset, start, stop):
-    """``span`` and ``run`` of :class:`vascval.imaging.voxels.Lattice`."""
+def spans(row_offset, start, stop, span, run):
+    """Write ``span`` and ``run`` of :class:`vascval.imaging.voxels.Lattice`."""
     n_rows = row_offset.size - 1
-    span = np.empty((start.size + 1, 3), np.int32)
     n = 0
     for row in range(n_rows):
         for k in range(row_offset[row], row_offset[row + 1]):
@@ -258,16 +257,14 @@ def spans(row_offset, start, stop):
     span[start.size, 0] = -1
     span[start.size, 1] = 0
     span[start.size, 2] = n
-    run = np.empty(n, np.int32)
     for k in range(start.size):
         run[span[k, 2] : span[k + 1, 2]] = k
-    return span, run
 
 
 @njit
-def links(row_offset, start, stop, ny, nz):
-    """(r, 8) the first run of each of the eight neighbour rows that touches each run, corners included; -1 if none."""
-    link = np.full((start.size, 8), -1, np.int32)
+def links(row_offset, start, stop, ny, nz, link):
+    """Write to ``link`` (r, 8), which is -1, the first run of each of the eight neighbour rows that touches each run,
+    corners included."""
     for row in range(row_offset.size - 1):
         a, a_end = row_offset[row], row_offset[row + 1]
         if a == a_end:
@@ -287,7 +284,6 @@ def links(row_offset, start, stop, ny, nz):
                         if j < j_end and start[j] <= stop[k]:
                             link[k, q] = j
                 q += 1
-    return link
 
 
 @njit

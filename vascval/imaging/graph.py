@@ -184,7 +184,8 @@ def judge_loops(
     kept = kernels.mark_paths(parent, ends.astype(np.int32))
     depth, base, way = kernels.climb(order, parent, kept, position_mm)
     enough = PINHOLE_RADII * float(thickness_mm.max())
-    length, widest = kernels.loop_sizes(parent, depth, cuts[:, 0], cuts[:, 1], position_mm, thickness_mm, enough)
+    u, v = np.ascontiguousarray(cuts.T)
+    length, widest = kernels.loop_sizes(parent, depth, u, v, position_mm, thickness_mm, enough)
     true = length > PINHOLE_RADII * widest
     sticks_out = true[:, None] & (way[cuts] > thickness_mm[base[cuts]] + salience_mm[cuts])
     return Loops(cuts[true], int(cuts.shape[0] - true.sum()), np.unique(cuts[sticks_out]))

@@ -96,7 +96,7 @@ def _stations(voxels: Voxels, now: Refined, label: np.ndarray) -> _Stations:
     seed = np.flatnonzero((at >= 0) & (label[at] == -1))
     label[at[seed]] = seed
     grid = (voxels.lattice, voxels.spacing_mm)
-    _graph_kernels.nearest_points(label, position, now.radius_mm[branch], *grid)
+    _graph_kernels.nearest_points(label, position, now.radius_mm[branch], *grid, np.full(voxels.n, np.inf))
     along = kernels.relocate(label, branch, offset, position, tangent, arc, *grid)
     count, total = kernels.centroids(label, arc.size, *grid)
     return _Stations(offset, position, tangent, arc, branch, label, along, count, total)

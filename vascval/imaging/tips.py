@@ -56,7 +56,9 @@ def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     source = int(np.argmax(way))
     way[:] = np.inf
     kernels.geodesic(source, lattice, step, width, way)
-    tip, saddle, widest = kernels.maxima(kernels.descending(way), way, thickness_mm, lattice)
+    scratch = np.full(voxels.n, -1, dtype=np.int32), np.empty(voxels.n, dtype=np.int32)
+    tip, saddle, widest = kernels.maxima(kernels.descending(way), way, thickness_mm, lattice, *scratch)
+    del scratch
     persistence = np.where(saddle < 0, np.inf, way[tip] - way[saddle])
     voxel_mm = float(np.cbrt(np.prod(spacing)))
     bump_mm = bump_voxels(persistence / voxel_mm) * voxel_mm

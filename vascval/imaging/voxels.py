@@ -74,6 +74,9 @@ def from_runs(runs: Runs, spacing_mm: np.ndarray) -> Voxels:
     nz, ny, _ = runs.shape
     if runs.n_voxels > MAX_VOXELS:
         raise InputError(f"{runs.n_voxels:,} voxels are selected, of {MAX_VOXELS:,} that can be; crop or downsample")
-    span, run = kernels.spans(runs.row_offset, runs.start, runs.stop)
-    link = kernels.links(runs.row_offset, runs.start, runs.stop, ny, nz)
+    # arrays of the size of the foreground are NumPy's, which asks for huge pages: the kernels' own would be slower
+    span, run = np.empty((runs.start.size + 1, 3), dtype=np.int32), np.empty(runs.n_voxels, dtype=np.int32)
+    link = np.full((runs.start.size, 8), -1, dtype=np.int32)
+    kernels.spans(runs.row_offset, runs.start, runs.stop, span, run)
+    kernels.links(runs.row_offset, runs.start, runs.stop, ny, nz, link)
     return Voxels(runs.shape, np.asarray(spacing_mm, dtype=np.float64), Lattice(span, run, link, ny), runs.row_offset)
