@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import struct
+import tracemalloc
 from pathlib import Path
 
 import h5py
@@ -59,7 +62,7 @@ def write_ome(path: Path, values: np.ndarray, *, version: int = 2, unit: str | N
     )
 
 
-def write_nrrd(path: Path, values: np.ndarray, *, big: bool = False) -> None:
+def write_nrrd(path: Path, values: np.ndarray, *, big: bool = False, packed: bool = False) -> None:
     names = {"u1": "uchar", "i2": "short", "u2": "uint16", "f4": "float", "f8": "double", "i4": "int"}
     axes = " ".join(str(tuple(float(v) for v in row)).replace(" ", "") for row in np.diag(SPACING))
     head = [
@@ -71,24 +74,25 @@ def write_nrrd(path: Path, values: np.ndarray, *, big: bool = False) -> None:
         f"space directions: {axes}",
         "kinds: domain domain domain",
         f"endian: {'big' if big else 'little'}",
-        "encoding: raw",
+        f"encoding: {'gzip' if packed else 'raw'}",
         "space origin: (1,2,3)",
     ]
     data = values.astype(values.dtype.newbyteorder(">" if big else "<")).tobytes()
     if path.suffix == ".nrrd":
-        path.write_bytes(("\n".join(head) + "\n\n").encode() + data)
+        path.write_bytes(("\n".join(head) + "\n\n").encode() + (gzip.compress(data) if packed else data))
         return
     half = len(data) // values.shape[0] * (values.shape[0] // 3)
     for k in range(3):
-        (path.parent / f"part{k}.raw").write_bytes(data[k * half : (k + 1) * half])
+        part = data[k * half : (k + 1) * half]
+        (path.parent / f"part{k}.raw").write_bytes(gzip.compress(part) if packed else part)
     path.write_text("\n".join([*head, "data file: part%d.raw 0 2 1 3"]) + "\n")
 
 
-def write_image(path: Path, values: np.ndarray) -> None:
+def write_image(path: Path, values: np.ndarray, *, packed: bool = False) -> None:
     image = sitk.GetImageFromArray(values)
     image.SetSpacing(SPACING)
     image.SetOrigin((1.0, 2.0, 3.0))
-    sitk.WriteImage(image, str(path), useCompression=False)
+    sitk.WriteImage(image, str(path), useCompression=packed)
 
 
 def write_slices(path: Path, values: np.ndarray) -> None:
@@ -108,6 +112,10 @@ WRITERS = {
     "a.nrrd": write_nrrd,
     "big.nrrd": lambda path, values: write_nrrd(path, values, big=True),
     "a.nhdr": write_nrrd,
+    "gz.nrrd": lambda path, values: write_nrrd(path, values, packed=True),
+    "gz.nhdr": lambda path, values: write_nrrd(path, values, big=True, packed=True),
+    "a.nii": write_image,
+    "a.nii.gz": lambda path, values: write_image(path, values, packed=True),
     "a.mha": write_image,
     "a.mhd": write_image,
     "a.tif": write_image,
@@ -169,7 +177,9 @@ def same(one, other) -> None:
     }
 
 
-@pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.tif", "slices", "a.zarr", "sharded.zarr", "a.h5"])
+@pytest.mark.parametrize(
+    "name", ["a.nrrd", "gz.nrrd", "a.nii.gz", "a.mha", "a.tif", "slices", "a.zarr", "sharded.zarr", "a.h5"]
+)
 def test_the_tree_is_that_of_the_array(name: str, cast: Volume, tmp_path: Path) -> None:
     values = np.ascontiguousarray(cast.values)
     WRITERS[name](tmp_path / name, values)
@@ -338,3 +348,45 @@ def test_a_file_that_shrinks_while_it_is_read_is_refused(tmp_path: Path) -> None
     (tmp_path / "a.nrrd").write_bytes(data[:-20])
     with pytest.raises(InputError, match="ends within slice 8; it is truncated"):
         scan.load()
+
+
+@pytest.mark.parametrize("name", ["gz.nrrd", "gz.nhdr", "a.nii.gz"])
+def test_packed_files_are_read_in_slices_without_holding_the_rest(name: str, tmp_path: Path) -> None:
+    values = np.random.default_rng(0).integers(0, 255, (81, 512, 1024)).astype(np.uint8)
+    WRITERS[name](tmp_path / name, values)
+    scan = open_scan(tmp_path / name)
+    tracemalloc.start()
+    last = 0
+    for z, y, block in scan.blocks():
+        assert y == 0
+        assert np.array_equal(block, values[z : z + len(block)])
+        last = z + len(block)
+    assert last == len(values)
+    assert tracemalloc.get_traced_memory()[1] < values.nbytes / 2
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("name", ["gz.nrrd", "gz.nhdr", "a.nii.gz"])
+def test_damaged_packed_files_are_refused(name: str, tmp_path: Path) -> None:
+    WRITERS[name](tmp_path / name, sample())
+    file = tmp_path / ("part2.raw" if name.endswith("nhdr") else name)
+    data = file.read_bytes()
+    checksum = len(data) - 8
+    wrong = data[:checksum] + bytes([data[checksum] ^ 1]) + data[checksum + 1 :]
+    for damaged in (data[:-100], data[:-4], wrong):
+        file.write_bytes(damaged)
+        with pytest.raises(InputError, match="truncated or damaged, get it again"):
+            open_scan(tmp_path / name).load()
+    file.write_bytes(data[:checksum] + data[checksum:] * 2)
+    with pytest.raises(InputError, match="truncated or damaged, get it again"):
+        open_scan(tmp_path / name).load()
+
+
+def test_scaled_values_are_left_to_the_library(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.nii", sample("int16"))
+    data = bytearray((tmp_path / "a.nii").read_bytes())
+    struct.pack_into("<2f", data, 112, 2.0, 1.0)
+    (tmp_path / "a.nii").write_bytes(data)
+    volume = open_scan(tmp_path / "a.nii")
+    assert isinstance(volume, Volume)
+    assert np.array_equal(volume.values, 2.0 * sample("int16") + 1.0)

@@ -18,14 +18,16 @@ _MAX_FILES = 100_000
 
 @dataclass(frozen=True, eq=False)
 class Flat:
-    """Values that lie in files as they are: ``dtype`` with its byte order, ``shape`` (nz, ny, nx), and for each slice
-    the number of its file, ``file`` (nz,), and where it begins there in bytes, ``start`` (nz,)."""
+    """Values that lie in files slice after slice: ``dtype`` with its byte order, ``shape`` (nz, ny, nx), and for each
+    slice the number of its file, ``file`` (nz,), and where it begins there in bytes, ``start`` (nz,). Where the files
+    are packed with gzip, from byte ``packed_at`` on, that is the place in what they unpack to."""
 
     dtype: np.dtype
     shape: tuple[int, int, int]
     files: tuple[Path, ...]
     file: np.ndarray
     start: np.ndarray
+    packed_at: int | None = None
 
 
 def consecutive(dtype: np.dtype, sizes: Sequence[int], files: Sequence[Path], skips: Sequence[int]) -> Flat | None:
@@ -58,7 +60,8 @@ class Header:
     only the library knows), ``itemsize`` the bytes per value, ``mm_per_unit`` what the spacing and origin that the
     library reports are to be multiplied by, ``unpacked_bytes`` what compressed NIfTI must unpack to, ``texts`` the
     key-value pairs of the writer, ``files`` and ``data_at`` where MetaImage keeps its data, ``least_bytes`` what the
-    ``files`` of NRRD must hold at least, however densely they are packed, ``flat`` where uncompressed values lie."""
+    ``files`` of NRRD must hold at least, however densely they are packed, ``flat`` where values lie that can be read
+    slice by slice."""
 
     kind: str
     reader: str

@@ -12,6 +12,7 @@ import os
 import re
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -127,15 +128,20 @@ def _nrrd(path: Path, head: bytes) -> Header:
 
 
 def _nrrd_flat(fields: dict[str, str], sizes: tuple[int, ...], files: list[Path], data_at: int) -> Flat | None:
-    """Where raw values lie, if nothing but bytes at the beginning of a file is to be skipped."""
+    """Where raw or packed values lie, if nothing in the files is to be skipped."""
     name = fields["type"].lower()
     kind = "f" if name in ("float", "double") else "u" if name.startswith("u") else "i"
     itemsize = _NRRD_BYTES[name]
     order = {"little": "<", "big": ">"}.get(fields.get("endian", "little" if itemsize == 1 else "").lower())
     skips = [fields.get(key, "0") for key in ("lineskip", "byteskip")]
-    if fields.get("encoding", "").lower() != "raw" or order is None or skips != ["0", "0"]:
+    encoding = fields.get("encoding", "").lower()
+    if encoding not in ("raw", "gz", "gzip") or order is None or skips != ["0", "0"]:
         return None
-    return consecutive(np.dtype(f"{order}{kind}{itemsize}"), sizes, files, [data_at] * len(files))
+    dtype = np.dtype(f"{order}{kind}{itemsize}")
+    if encoding == "raw":
+        return consecutive(dtype, sizes, files, [data_at] * len(files))
+    flat = consecutive(dtype, sizes, files, [0] * len(files))
+    return None if flat is None else replace(flat, packed_at=data_at)
 
 
 def _require_short_words(path: Path, files: list[Path], data_at: int) -> None:
@@ -191,6 +197,9 @@ def _nrrd_unit(path: Path, units: str) -> float:
 # --- NIfTI --------------------------------------------------------------------------------------------------------
 
 _NIFTI_SIZES = (348, 540)
+_NIFTI_TYPES = {
+    2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8",
+}  # fmt: skip
 _NIFTI_PIXDIM = {348: ("8f", 76), 540: ("8d", 104)}
 
 
@@ -217,7 +226,22 @@ def _nifti(path: Path, raw: bytes, endian: str) -> Header:
     if not packed:
         require_bytes(path, [path], math.prod(sizes) * bits // 8, data_at)
     unpacked = data_at + math.prod(sizes) * bits // 8 if packed else 0
-    return Header("NIfTI", "NiftiImageIO", sizes=sizes, itemsize=max(bits // 8, 1), unpacked_bytes=unpacked)
+    flat = _nifti_flat(path, raw, endian, sizes, bits, data_at)
+    if flat is not None and packed:
+        flat = replace(flat, packed_at=0)
+    return Header("NIfTI", "NiftiImageIO", sizes=sizes, itemsize=max(bits // 8, 1), unpacked_bytes=unpacked, flat=flat)
+
+
+def _nifti_flat(path: Path, raw: bytes, endian: str, sizes: tuple[int, ...], bits: int, data_at: int) -> Flat | None:
+    """Where the values lie, if they are real numbers that mean what they say (no scale)."""
+    second = struct.unpack_from(endian + "i", raw)[0] == 540
+    code = struct.unpack_from(endian + "h", raw, 12 if second else 70)[0]
+    slope, intercept = struct.unpack_from(endian + ("2d" if second else "2f"), raw, 176 if second else 112)
+    plain = slope == 0 or (slope == 1 and intercept == 0)
+    dtype = np.dtype(endian + _NIFTI_TYPES.get(code, "V0"))
+    if not plain or dtype.itemsize * 8 != bits:
+        return None
+    return consecutive(dtype, sizes, [path], [data_at])
 
 
 def _unzipped(head: bytes) -> bytes:

@@ -1,7 +1,8 @@
 """Scans: volumes that stay in their files and are read block by block, so that memory does not go with their size.
 
-Zarr (OME-Zarr too), HDF5, and whatever lies uncompressed in its files: NRRD, MetaImage, TIFF and folders of slices.
-Plain files are read at the places asked for and not mapped, as mapped pages would count as memory of the process.
+Zarr (OME-Zarr too), HDF5, NRRD and NIfTI (with gzip or without), and MetaImage, TIFF and folders of slices where they
+are not compressed. Plain files are read at the places asked for and not mapped, as mapped pages would count as memory
+of the process.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from vascval.core.errors import InputError
-from vascval.io import flat_files, hdf5_arrays, zarr_arrays
+from vascval.io import flat_files, hdf5_arrays, packed_files, zarr_arrays
 from vascval.io.stored_arrays import Stored
 from vascval.io.volumes import Volume, describe, given_spacing, place, read_volume, require_finite, require_memory
 
@@ -95,7 +96,7 @@ def open_scan(
     dataset: str | None = None,
     max_memory_bytes: int | None = None,
 ) -> Volume | Scan:
-    """A volume for reading block by block where its format allows it, else (compressed files) read whole.
+    """A volume for reading block by block where its format allows it, else (compressed MetaImage and TIFF) read whole.
 
     :param spacing_mm: as for :func:`vascval.io.volumes.read_volume`.
     :param dataset: which array of a zarr group or an HDF5 file; needed where there are several.
@@ -117,8 +118,10 @@ def open_scan(
     raster = flat_files.frame(path, described.files[0], described.header)
     if raster is None:
         return read_volume(path, spacing_mm=spacing_mm, max_memory_bytes=max_memory_bytes)
-    read = flat_files.FlatReader(path, flat)
-    return Scan(place(described, raster), flat.shape, read.dtype, _block_shape(flat.shape, read.dtype, (1, 1)), read)
+    packed = flat.packed_at is not None
+    read = (packed_files.PackedReader if packed else flat_files.FlatReader)(path, flat)
+    block_shape = _block_shape(flat.shape, read.dtype, (1, flat.shape[1] if packed else 1))
+    return Scan(place(described, raster), flat.shape, read.dtype, block_shape, read)
 
 
 def read_stored(path: Path, spacing_mm: Sequence[float] | None, allowed_bytes: int) -> Volume:
