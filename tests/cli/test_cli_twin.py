@@ -1,6 +1,7 @@
 """``vascval twin`` on the small cast: what it leaves behind, what it refuses, and how it ends when it is stopped."""
 
 import json
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -12,9 +13,11 @@ from generator.topology.annealing import Annealing
 from vascval import imaging
 from vascval.cli import twin_outcome, twin_parts
 from vascval.cli.main import main
+from vascval.core.tree import Topology, Tree
 from vascval.io import schemas
 from vascval.io.trees import read_tree
 from vascval.io.volumes import read_volume
+from vascval.morphometry import analyze
 
 QUICK = ["--set", "topology.tests=3000", "--set", "topology.chains=1"]
 LEFT = {"report.html", "report.json", "cast.vtp", "cco.vtp", "optimised.vtp", "figures/twin-0.png", "tables/totals.csv",
@@ -126,6 +129,18 @@ def test_in_given_tissue(tmp_path, cast_file, tissue, capsys):
     assert any("cco has 20 terminals and the cast 4" in note for note in facts["notes"])
 
 
+@pytest.mark.parametrize(("stem_mm", "said"), [(0.2, True), (1.9, True), (2.1, False)])
+def test_a_stem_shorter_than_thick_is_told_of(stem_mm, said):
+    """A stem of 2 mm diameter: the tables count it as generation 1 whatever its length."""
+    position = [[0, 0, 0], [0, 0, stem_mm], [9, 0, 9], [-9, 0, 9]]
+    tree = Tree(Topology(np.array([-1, 0, 1, 1])), np.array(position), np.array([0, 1.0, 0.8, 0.8]))
+    analysis = analyze(tree, source="optimised")
+    assert analysis.document()["generations"][0]["n_segments"] == 1
+    notes = twin_outcome.Outcome._stubs(SimpleNamespace(trees=[analysis]))
+    told = f"the root vessel of optimised is {stem_mm} mm long and 2 mm thick"
+    assert [told in note for note in notes] == [True] * said
+
+
 @pytest.mark.usefixtures("unreported")
 def test_vessels_carved_out_of_the_tissue_are_closed(tmp_path, cast_file, tissue):
     mask, whole = read_volume(cast_file), read_volume(tissue)
@@ -221,6 +236,19 @@ def test_refusals(arguments, message, tmp_path, cast_file, tree_file, capsys):
     assert message.format(**files) in err
     assert not (tmp_path / "twin").exists()
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".") and path.is_dir()]
+
+
+@pytest.mark.usefixtures("unreported")
+def test_a_report_that_will_be_replaced_is_told_of(tmp_path, tree_file, capsys):
+    folder = tmp_path / "twin"
+    folder.mkdir()
+    for name in ("report.html", "mine.txt"):
+        (folder / name).write_text("mine")
+    twin(tree_file, "-o", folder)
+    assert f"note: {folder}: the report that is there will be replaced at the end" in capsys.readouterr().err
+    assert (folder / "mine.txt").read_text() == "mine"
+    twin(tree_file, "-o", tmp_path / "new")
+    assert "will be replaced" not in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("unreported")

@@ -75,7 +75,7 @@ def ensemble(
     """
     if scheduler is not None and workers is not None:
         raise click.UsageError("--scheduler and --workers exclude each other; give one")
-    sources.check_directory(directory)
+    sources.check_directory(directory, adds=True)
     sources.check_json(json_file)
     if checkpoint is not None:
         sources.check_file(checkpoint)

@@ -105,9 +105,7 @@ def skeletonize(path: Path, selection: Selection, observer: Observer | None) -> 
         )
 
 
-def measure(
-    path: Path, name: str, selection: Selection, unit: str | None, observer: Observer | None
-) -> Measured:
+def measure(path: Path, name: str, selection: Selection, unit: str | None, observer: Observer | None) -> Measured:
     """The analysis of a volume or a tree, whichever the file is.
 
     :raises InputError: also when options that choose from a volume are given for a tree.
@@ -170,14 +168,19 @@ def check_json(destination: str | None, inputs: Sequence[Path] = ()) -> None:
         check_file(Path(destination), inputs)
 
 
-def check_directory(path: Path) -> None:
-    """Refuses, before the work begins, a directory that could not be written at its end; claims it as a file is."""
+def check_directory(path: Path, *, adds: bool = False) -> None:
+    """Refuses, before the work begins, a directory that could not be written at its end; claims it as a file is.
+
+    A report that is there and will be replaced is noted, unless the command ``adds`` to what there is.
+    """
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file, not a directory; choose another name with -o")
     if not path.exists() and not path.absolute().parent.is_dir():
         raise InputError(f"{path}: the directory {path.absolute().parent} does not exist; make it first")
     _check_writable(path, path if path.exists() else path.absolute().parent)
     _claim(path)
+    if not adds and (path / "report.html").exists():
+        note(f"{path}: the report that is there will be replaced at the end; files of other names stay")
 
 
 def _claim(path: Path) -> None:

@@ -92,7 +92,7 @@ class Outcome:
                 "perfusion": {"preset": PRESET, **config.perfusion.model_dump(), "gamma": config.gamma},
                 "seed": config.seed,
                 "trees": [_tree(analysis, radius, drop) for analysis in self.trees],
-                "notes": [*self.ground.domain.notes, *self.start.notes, *self._numbers()],
+                "notes": [*self.ground.domain.notes, *self.start.notes, *self._numbers(), *self._stubs()],
             }
         )
         return facts
@@ -105,6 +105,17 @@ class Outcome:
             "generations count from the root, so that those beyond the cast's have nothing beside them"
             for analysis in self.trees
             if analysis.summary["n_terminals"] != compared
+        ]
+
+    def _stubs(self) -> list[str]:
+        """A sentence where the first branching of a tree has moved to its root."""
+        return [
+            f"the root vessel of {analysis.source} is {length:.2g} mm long and {diameter:.2g} mm thick: its first "
+            "branching has moved to where the blood enters. It is the root segment all the same and counts in "
+            "generation 1; what can be compared with vessels of a cast begins in the generation after it"
+            for analysis in self.trees
+            if (length := float(analysis.tree.length_mm[1])) < (diameter := 2.0 * float(analysis.tree.radius_mm[1]))
+            and analysis.tree.topology.n_children[0] == 1
         ]
 
 
