@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 
 from vascval.core.contraction import contract_degenerate
 from vascval.core.ordering import element, strahler_order
-from vascval.core.tree import Tree
+from vascval.core.tree import Topology, Tree
 
 from .phantoms import resampled
 
@@ -47,7 +47,10 @@ class Score:
       branches that are none in truth.
     * ``elements_found``, ``elements_true``: elements of each Strahler order, from order 1; ``elements_equal``; the
       largest relative deviation of an order, ``elements_deviation``, and that of the sum over all orders of the
-      absolute deviations, ``elements_total_deviation``.
+      absolute deviations, ``elements_total_deviation``. ``elements_matched_equal``: whether they are equal when both
+      trees are cut down to the matched tips. (In a tree that halves again and again one terminal less lowers the
+      order of every vessel from there to the root.)
+    * ``missed`` (m,): the nodes of the tips that were not found, in the truth contracted.
     """
 
     n_tips: int
@@ -73,6 +76,8 @@ class Score:
     elements_equal: bool
     elements_deviation: float
     elements_total_deviation: float
+    elements_matched_equal: bool
+    missed: tuple[int, ...]
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -104,6 +109,11 @@ def score(
         **_segment_scores(truth, found, pairs, voxel_mm),
         **_junction_scores(truth, true_clade, found, found_clade, voxel_mm),
         **_element_scores(truth, found),
+        elements_matched_equal=np.array_equal(
+            elements_per_order(_restricted(truth, true_tip >= 0)),
+            elements_per_order(_restricted(found, found_tip >= 0)),
+        ),
+        missed=tuple(i for i in truth.topology.terminals.tolist() if true_tip[i] < 0),
     )
 
 
@@ -257,6 +267,17 @@ def _element_scores(truth: Tree, found: Tree) -> dict[str, Any]:
         "elements_deviation": float((miss / np.maximum(true, 1)).max()),
         "elements_total_deviation": float(miss.sum() / true.sum()),
     }
+
+
+def _restricted(tree: Tree, kept: np.ndarray) -> Tree:
+    """The tree without what bears none of the ``kept`` (N,) nodes; without any, its root and first vessel."""
+    below = kept.copy()
+    below[:2] = True
+    for node in range(tree.n_nodes - 1, 0, -1):
+        below[tree.parent[node]] |= below[node]
+    parent = (np.cumsum(below) - 1)[tree.parent[below]]
+    parent[0] = -1
+    return Tree(Topology(parent.astype(np.int32)), tree.position_mm[below], tree.radius_mm[below])
 
 
 def elements_per_order(tree: Tree) -> np.ndarray:

@@ -11,7 +11,7 @@ from scipy.ndimage import binary_fill_holes
 from skimage.measure import euler_number, label
 
 from tests.benchmarks import _growth_kernels as kernels
-from tests.benchmarks import bench_skeletonize, shapes
+from tests.benchmarks import bench_memory, bench_skeletonize, shapes
 from tests.benchmarks.phantoms import KINDS, Phantom, Rules, drawn_radius, grow, phantom, resampled, rough_image
 from tests.benchmarks.score import score
 from vascval.core.contraction import degenerate_segments
@@ -168,6 +168,7 @@ def test_the_truth_scores_full_marks(truth: Tree) -> None:
     assert (s.junctions_found, s.n_junctions_false, s.junction_offset) == (1.0, 0, 0.0)
     assert (s.n_trifurcations, s.trifurcations_found, s.n_trifurcations_false) == (3, 1.0, 0)
     assert s.elements_equal and s.elements_deviation == 0.0 and s.elements_found == s.elements_true
+    assert s.elements_matched_equal and s.missed == ()
     assert s.centreline_offset < 0.03  # truth is sampled every tenth of a voxel
 
 
@@ -199,6 +200,7 @@ def test_a_missed_tip_costs_its_junction(truth: Tree) -> None:
     assert s.segments_matched == (truth.n_segments - 1) / truth.n_segments
     assert not s.elements_equal and s.elements_true[0] == 20 and s.elements_found[0] == 19
     assert s.elements_deviation >= 1 / 20 and s.radius_error == 0.0
+    assert s.elements_matched_equal and s.missed == (tip,)
 
 
 def test_a_false_tip_costs_precision(truth: Tree) -> None:
@@ -209,6 +211,7 @@ def test_a_false_tip_costs_precision(truth: Tree) -> None:
     assert s.tips_found == 1.0 and s.tips_false == 1 / 20
     assert s.n_trifurcations_false == 1 and s.n_junctions_false == 1 and s.trifurcations_found == 1.0
     assert s.segments_matched == 1.0 and s.elements_deviation >= 1 / 20
+    assert s.elements_matched_equal and s.missed == ()
 
 
 def test_exchanged_branches_are_no_match() -> None:
@@ -222,6 +225,17 @@ def test_exchanged_branches_are_no_match() -> None:
     assert s.tips_found == 1.0 and s.segments_matched == 5 / 7
     assert s.junctions_found == 0.0 and s.n_junctions_false == 3  # the root fork parts other tips, too
     assert s.elements_equal
+    comb = Tree(Topology(np.array([-1, 0, 1, 1, 2, 2, 4, 4])), position[[0, 1, 2, 4, 3, 5, 6, 7]], radius)
+    assert not score(comb, true, 1.0).elements_matched_equal
+
+
+def test_terminals_in_a_passing_vessel_are_hidden() -> None:
+    position = np.array([[0, 0, 0], [0, 0, 20], [30, 0, 40], [-30, 0, 40], [30, 0, 90], [60, 0, 60], [40, 0, 70]])
+    radius = np.array([4.0, 4, 3, 3, 3, 1, 1])
+    tree = Tree(Topology(np.array([-1, 0, 1, 1, 2, 2, 3])), position.astype(float), radius)
+    assert [bench_memory.hidden(tree, tip) for tip in (4, 5, 6)] == [False, False, False]
+    position[6] = [33, 0, 70]  # a voxel and less from the wall of the vessel to node 4
+    assert bench_memory.hidden(Tree(tree.topology, position.astype(float), radius), 6)
 
 
 def test_benchmark_runs_at_a_tiny_size(capsys: pytest.CaptureFixture[str]) -> None:
