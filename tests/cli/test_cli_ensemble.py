@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pandas as pd
 import pytest
 from cli_files import contents
@@ -217,6 +218,38 @@ def test_ctrl_c_keeps_what_is_done(tmp_path):
     assert 1 <= n_done < 5 and n_done + states.count("missing") == 5
     assert len(list((folder / "trees").iterdir())) == 2 * n_done
     assert ensemble(*SLOW, "--seeds", 5, *options)["n_made"] == 5 - n_done
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_and_called_again(tmp_path):
+    """``kill -9`` of the command: its workers end too, and what it has made stays."""
+    whole, folder, rng = tmp_path / "whole", tmp_path / "killed", np.random.default_rng(5)
+    trees = ensemble(*SLOW, "--seeds", 12, "--workers", 2, "-o", whole)["manifest"]
+    tree_s = statistics.fmean(tree["seconds"] for tree in trees)
+    for _ in range(3):
+        count = log_of(folder).count("begun on")
+        process = subprocess.Popen(
+            [*VASCVAL, *SLOW, "--seeds", "12", "--workers", "2", "-o", str(folder)],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        workers = {int(number) for number in wait_for(r"begun on \S+:(\d+)", folder, process, count + 2)[count:]}
+        time.sleep(tree_s * float(rng.uniform(0.5, 1.8)))
+        process.kill()
+        process.wait()
+        limit = time.monotonic() + 30.0
+        while any(map(running_now, workers)) and time.monotonic() < limit:
+            time.sleep(0.1)
+        assert not any(map(running_now, workers))
+    n_done = log_of(folder).count("done on")
+    assert 1 <= n_done < 12
+    assert ensemble(*SLOW, "--seeds", 12, "-o", folder)["n_made"] <= 12 - n_done
+    assert same_everywhere(folder) == same_everywhere(whole)
+
+
+def running_now(number: int) -> bool:
+    """Whether there is such a process; one that has ended has no command line."""
+    path = Path(f"/proc/{number}/cmdline")
+    return path.exists() and path.read_bytes() != b""
 
 
 def test_a_scheduler_lost_in_the_middle(tmp_path):
