@@ -8,7 +8,7 @@ import pytest
 
 from generator.config import load
 from generator.framework import Run
-from vascval.core.errors import ComputationError
+from vascval.core.errors import ComputationError, InputError
 from vascval.core.tree import Topology, Tree
 from vascval.core.validation import require_made_well
 from vascval.io.trees import write_tree
@@ -116,3 +116,35 @@ def test_growth_ends_or_fails_at_the_thinnest_radius(folder):
     assert 12 < tree.topology.n_terminals < 60
     with pytest.raises(ComputationError, match="r_min"):
         made(folder, "n_terminals=60", thin)
+
+
+THICK = ("growth.avoid_intersections=true", "perfusion.flow_ml_min=100000")
+
+
+@pytest.mark.parametrize("changes", [("n_terminals=12",), ("n_terminals=40", "perfusion.flow_ml_min=40000", "seed=2")])
+def test_vessels_that_came_to_overlap_are_grown_anew(folder, changes):
+    run, tree = made(folder, *THICK, *changes)
+    assert run.growth.state()["progress"][1] > 0  # it did happen here
+    assert tree.topology.n_terminals == run.config.n_terminals
+    assert len(overlapping_pairs(tree)) == 0
+
+
+def test_vessels_that_are_too_thick_are_refused(folder):
+    with pytest.raises(InputError, match="terminals cannot be joined to the tree by straight vessels that keep apart"):
+        made(folder, GIVEN, *THICK, "perfusion.flow_ml_min=2000000")
+    with pytest.raises(ComputationError, match="the root tree uses up the pressure before its ends"):
+        made(folder, ROOT_TREE, *THICK)
+
+
+@pytest.mark.parametrize("kept_at", ["growth", "topology", "geometry"])
+def test_a_small_run_goes_on_from_where_it_was_kept(folder, kept_at):
+    changes = ("n_terminals=8", "method=full", "topology.at=6", "topology.tests=30", "geometry.every=1")
+    whole, expected = made(folder, *changes)
+    first, again = (Run.of(whole.config) for _ in range(2))
+    state = next(first.state() for name, _ in first.steps() if name == kept_at)
+    again.restore(state)
+    for _ in again.steps():
+        pass
+    for name in ("parent", "position_mm", "radius_mm"):
+        np.testing.assert_array_equal(getattr(again.tree(), name), getattr(expected, name))
+    assert again.topology.history[-1].n_tests == 30
