@@ -85,7 +85,7 @@ def make(order: Order, folder: str, measure: Measure, report: Report) -> Grown |
 
 
 def warm_up(order: Order, folder: str, measure: Measure, compiles: bool) -> str:
-    """Makes a tiny tree of that kind, so that this process has the kernels.
+    """Makes a tiny tree of that kind, so that this process has the kernels and all that is imported on the way.
 
     :param compiles: compile those that are not in the user's cache, and put them there; else stop at the first.
     :returns: why it could not be done, or nothing.
@@ -96,7 +96,9 @@ def warm_up(order: Order, folder: str, measure: Measure, compiles: bool) -> str:
             run = Run.of(_tiny(_found(order, Path(folder))))
             for _ in run.steps():
                 pass
-            measure(run.tree(), order.name)
+            tree = run.tree()
+            measure(tree, order.name)
+            _file(tree, {}, run.claims(tree))
     except VascvalError as error:
         return str(error)
     except _NotCached:
