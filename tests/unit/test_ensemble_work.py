@@ -128,13 +128,19 @@ def test_a_worker_lost_costs_its_own_tree(client):
     assert len({result.worker for result in results.values() if isinstance(result, Grown)}) > 1
 
 
-def test_large_trees_come_first(client):
+def test_large_trees_are_handed_out_first(client, monkeypatch):
     """Of all methods the slowest, and of those the largest."""
     wanted = plan("karch-box", ("topology.tests=50",), ("n_terminals=6,60", "method=cco,full"), 1).orders
-    begun = [event.name for event in run(client, wanted, volume) if isinstance(event, Begun)]
-    method = [name.split("method-")[1].split("_")[0] for name in begun]
-    assert method == ["full", "full", "cco", "cco"]
-    assert set(begun) == {order.name for order in wanted}
+    send, sent = running._Crew.send, []
+    monkeypatch.setattr(running._Crew, "send", lambda crew, order: (sent.append(order.config), send(crew, order)))
+    made = [event.order.name for event in run(client, wanted, volume) if isinstance(event, Finished)]
+    assert sorted(made) == sorted(order.name for order in wanted)
+    assert [(config.method, config.n_terminals) for config in sent] == [
+        ("full", 60),
+        ("full", 6),
+        ("cco", 60),
+        ("cco", 6),
+    ]
 
 
 def test_errors_that_nobody_foresaw_are_told(client):
