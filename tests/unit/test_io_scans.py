@@ -390,3 +390,21 @@ def test_scaled_values_are_left_to_the_library(tmp_path: Path) -> None:
     volume = open_scan(tmp_path / "a.nii")
     assert isinstance(volume, Volume)
     assert np.array_equal(volume.values, 2.0 * sample("int16") + 1.0)
+
+
+@pytest.mark.parametrize("sizes", ["4294967296 4294967296 2", "3 3 9223372036854775807", "65536 65536 65536"])
+def test_packed_files_that_claim_too_much_are_refused_before_anything_is_allocated(sizes: str, tmp_path: Path) -> None:
+    write_nrrd(tmp_path / "a.nrrd", sample(), packed=True)
+    data = (tmp_path / "a.nrrd").read_bytes().replace(b"sizes: 11 14 9", b"sizes: " + sizes.encode())
+    (tmp_path / "a.nrrd").write_bytes(data)
+    refused(tmp_path / "a.nrrd", "allow more")
+
+
+def test_nifti_of_another_name_than_content_is_refused(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.nii", sample())
+    write_image(tmp_path / "b.nii.gz", sample(), packed=True)
+    (tmp_path / "a.nii").rename(tmp_path / "a.nii.gz")
+    (tmp_path / "b.nii.gz").rename(tmp_path / "b.nii")
+    for name in ("a.nii.gz", "b.nii"):
+        with pytest.raises(InputError, match="truncated"):
+            open_scan(tmp_path / name)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,9 @@ from vascval.core.errors import InputError
 
 _HEADER_BYTES = 1 << 20
 _MAX_FILES = 100_000
+_MAX_SLICES = 1_000_000
+DENSEST = 1100
+"""Bytes that gzip may make of one: zlib on zeros reaches 1032."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +37,24 @@ class Flat:
 def consecutive(dtype: np.dtype, sizes: Sequence[int], files: Sequence[Path], skips: Sequence[int]) -> Flat | None:
     """Values in the order of memory, in files of equally many slices, after some bytes to skip in each.
 
-    ``None`` where there are not three axes, or the files do not end with a slice.
+    ``None`` where there are not three axes, the sizes are beyond belief, or the files do not end with a slice.
     """
     if len(sizes) != 3 or min(sizes) < 2 or sizes[2] % len(files):
+        return None
+    if sizes[2] > _MAX_SLICES or math.prod(sizes) * dtype.itemsize + max(skips) >= 2**62:
         return None
     nx, ny, nz = sizes
     each = nz // len(files)
     start = np.array(skips)[:, None] + np.arange(each) * (nx * ny * dtype.itemsize)
     return Flat(dtype, (nz, ny, nx), tuple(files), np.repeat(np.arange(len(files)), each), start.ravel())
+
+
+def gzipped(flat: Flat | None, at: int) -> Flat | None:
+    """The same in what the files unpack to from byte ``at`` on; ``None`` if they cannot hold so much."""
+    if flat is None:
+        return None
+    there = sum(file.stat().st_size for file in flat.files)
+    return replace(flat, packed_at=at) if math.prod(flat.shape) * flat.dtype.itemsize <= DENSEST * there else None
 
 
 def stacked(flats: Sequence[Flat | None]) -> Flat | None:

@@ -12,7 +12,6 @@ import os
 import re
 import struct
 import zlib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +20,13 @@ from vascval.core.errors import InputError
 from vascval.core.units import MM_PER
 from vascval.io import meta_image, tiff_headers
 from vascval.io.header_checks import (
+    DENSEST,
     Flat,
     Header,
     confined,
     consecutive,
     first_bytes,
+    gzipped,
     integers,
     numbered_files,
     positive,
@@ -55,10 +56,9 @@ def read_header(path: Path) -> Header:
     if meta_image.is_header(head):
         return meta_image.read_header(path, head)
     raw = _unzipped(head) if head[:2] == b"\x1f\x8b" else head
-    if len(raw) >= 348 and struct.unpack("<i", raw[:4])[0] in _NIFTI_SIZES:
-        return _nifti(path, raw, "<")
-    if len(raw) >= 348 and struct.unpack(">i", raw[:4])[0] in _NIFTI_SIZES:
-        return _nifti(path, raw, ">")
+    for endian in "<>":
+        if len(raw) >= 348 and struct.unpack(endian + "i", raw[:4])[0] in _NIFTI_SIZES:
+            return _nifti(path, raw, endian, raw is not head)
     raise InputError(f"{path}: is no image that can be read; give NRRD, NIfTI, MetaImage or a TIFF stack")
 
 
@@ -67,7 +67,6 @@ def read_header(path: Path) -> Header:
 _LONGEST_FIELD = 1000  # the library writes beyond a buffer when it quotes a longer one in an error
 _TEXT = ("txt", "text", "ascii")
 _LONGEST_WORD = 64  # of values as text; the library writes beyond a buffer on longer ones
-_DENSEST = 1100  # bytes out of one: zlib on zeros reaches 1032
 _NRRD_BYTES = {
     **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
     **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
@@ -140,8 +139,7 @@ def _nrrd_flat(fields: dict[str, str], sizes: tuple[int, ...], files: list[Path]
     dtype = np.dtype(f"{order}{kind}{itemsize}")
     if encoding == "raw":
         return consecutive(dtype, sizes, files, [data_at] * len(files))
-    flat = consecutive(dtype, sizes, files, [0] * len(files))
-    return None if flat is None else replace(flat, packed_at=data_at)
+    return gzipped(consecutive(dtype, sizes, files, [0] * len(files)), data_at)
 
 
 def _require_short_words(path: Path, files: list[Path], data_at: int) -> None:
@@ -154,7 +152,7 @@ def _nrrd_least(path: Path, encoding: str, count: int, itemsize: int) -> int:
     if encoding == "raw":
         return count * itemsize
     if encoding in ("gz", "gzip"):
-        return count * itemsize // _DENSEST
+        return count * itemsize // DENSEST
     if encoding in _TEXT:
         return 2 * count - 1
     if encoding == "hex":
@@ -203,7 +201,7 @@ _NIFTI_TYPES = {
 _NIFTI_PIXDIM = {348: ("8f", 76), 540: ("8d", 104)}
 
 
-def _nifti(path: Path, raw: bytes, endian: str) -> Header:
+def _nifti(path: Path, raw: bytes, endian: str, is_gzip: bool) -> Header:
     size = struct.unpack(endian + "i", raw[:4])[0]
     magic = raw[344:347] if size == 348 else raw[4:7]
     if magic not in (b"n+1", b"n+2"):
@@ -222,13 +220,15 @@ def _nifti(path: Path, raw: bytes, endian: str) -> Header:
         raise InputError(f"{path}: the spacing {pixdim} is absurd; correct pixdim in the header")
     start = struct.unpack_from(endian + ("f" if size == 348 else "q"), raw, 108 if size == 348 else 168)[0]
     data_at = int(start) if math.isfinite(start) and start > 0 else 0
-    packed = path.name.lower().endswith(".gz")
-    if not packed:
+    is_packed = path.name.lower().endswith(".gz")
+    if not is_packed:
         require_bytes(path, [path], math.prod(sizes) * bits // 8, data_at)
-    unpacked = data_at + math.prod(sizes) * bits // 8 if packed else 0
+    unpacked = data_at + math.prod(sizes) * bits // 8 if is_packed else 0
     flat = _nifti_flat(path, raw, endian, sizes, bits, data_at)
-    if flat is not None and packed:
-        flat = replace(flat, packed_at=0)
+    if is_packed != is_gzip:  # the library goes by the name
+        flat = None
+    elif is_packed:
+        flat = gzipped(flat, 0)
     return Header("NIfTI", "NiftiImageIO", sizes=sizes, itemsize=max(bits // 8, 1), unpacked_bytes=unpacked, flat=flat)
 
 
