@@ -223,10 +223,15 @@ def solve_laplacian(parent, position, moves, chord, length, weight, stiff, bend,
 
     :param block, diagonal: (N, 6) scratch: 3 x 3 blocks as xx, xy, xz, yy, yz, zz.
     """
+    diagonal[:] = 0.0
+    solve_anchored(parent, position, moves, chord, length, weight, stiff, bend, rhs, block, diagonal, out)
+
+
+@njit
+def solve_anchored(parent, position, moves, chord, length, weight, stiff, bend, rhs, block, diagonal, out):
+    """The same, with the stiffness that ``diagonal`` holds already, of what ties single nodes to their places."""
     size = parent.size
     for i in range(size):
-        for k in range(6):
-            diagonal[i, k] = 0.0
         for k in range(3):
             out[i, k] = rhs[i, k]
     for i in range(1, size):

@@ -1,16 +1,19 @@
 """What an optimised tree may not do: leave the domain, or run through itself where growth was asked to avoid it.
 
-The cost knows neither. From a tree that is admissible, each node goes as far towards its optimum as it may: nodes of
-offending segments go back, half of the way again and again, until nothing offends; then the others are optimised once
-more with those held, and so on. Where every node is back, the tree is the one that it began with, so that this always
-ends in an admissible tree. Then all are released and it begins anew from there, while that pays: nodes creep along the
-wall that way. It is a heuristic: what it ends in need not be the constrained optimum.
+The cost knows neither. Where segments leave the domain, the tree is optimised once more with the wall there as planes
+(:mod:`generator.geometry.walls`), until none does. What still offends is mended from the start, a tree that is
+admissible: each node goes as far towards its optimum as it may. Nodes of offending segments go back, half of the way
+again and again, until nothing offends; then the others are optimised once more with those held, and so on. Where every
+node is back, the tree is the one that it began with, so that this always ends in an admissible tree. Then all are
+released and it begins anew from there, while that pays. It is a heuristic: what it ends in need not be the constrained
+optimum.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -19,12 +22,15 @@ from generator.domain import Domain
 from generator.geometry import _clearance_kernels as kernels
 from generator.geometry.problem import Problem, Solution
 from generator.geometry.reduced import evaluate
+from generator.geometry.walls import walls_met
 from vascval.core.errors import ComputationError
 from vascval.core.tree import Tree
 
 _COINCIDENT_MM = 1e-9
 """Lengths are smoothed by this where forces are judged: of two nodes in one place, as a search of topologies may leave
 them, the direction of the forces is not defined."""
+_PLANES = 20
+"""Rounds of planes at the most."""
 _SWEEPS = 10
 _ROUNDS = 10
 _HALVINGS = 6
@@ -67,9 +73,8 @@ def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], 
 
     :raises ComputationError: when the tree at the start offends elsewhere.
     """
-    optimum = solve(problem)
     if admission.always:
-        return optimum
+        return solve(problem)
     begin = evaluate(problem, eps=_COINCIDENT_MM)
     bad = np.flatnonzero(admission.offending(problem, begin.tree))
     if bad.size:
@@ -77,12 +82,15 @@ def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], 
             f"{bad.size} segments leave the domain or overlap others before the geometry is optimised (first: segment "
             f"{bad[0]}); grow the tree inside the domain, without intersections if they are to be avoided"
         )
-    if not admission.offending(problem, optimum.tree).any():
+    solve = partial(_within_walls, admission=admission, solve=solve)
+    optimum = solve(problem)
+    if optimum.cost_mm3 <= begin.cost_mm3 and not admission.offending(problem, optimum.tree).any():
         return optimum
     best, steps = begin, 0
     for sweep in range(_SWEEPS):
-        target = optimum if sweep == 0 else solve(replace(problem, position_mm=best.position_mm, pull=best.pull))
-        found = _sweep(problem.at(best.position_mm), target, admission, solve)
+        if sweep > 0:
+            optimum = solve(replace(problem, position_mm=best.position_mm, pull=best.pull, walls=None))
+        found = _sweep(problem.at(best.position_mm), optimum, admission, solve)
         steps += found.n_iterations
         gain = 1.0 - found.cost_mm3 / best.cost_mm3
         if gain > 0.0:
@@ -90,6 +98,37 @@ def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], 
         if gain < _WORTH:
             break
     return replace(best, problem=problem, n_iterations=steps)
+
+
+def _within_walls(problem: Problem, *, admission: Admission, solve: Callable[[Problem], Solution]) -> Solution:
+    """The optimum with planes for the wall where segments cross it; as far as that comes to an end.
+
+    Planes that contradict each other have no optimum: then what there was without the last of them is given back.
+    """
+    optimum = _solved(problem, solve) or solve(replace(problem, walls=None))
+    if admission.domain is None:
+        return optimum
+    inside = Admission(admission.domain)
+    for _ in range(_PLANES):
+        bad = np.flatnonzero(inside.offending(problem, optimum.tree))
+        if bad.size == 0:
+            break
+        walls = walls_met(optimum.problem, optimum.position_mm, admission.domain, bad)
+        found = _solved(replace(problem, position_mm=optimum.position_mm, pull=optimum.pull, walls=walls), solve)
+        if found is None:
+            break
+        optimum = replace(found, n_iterations=found.n_iterations + optimum.n_iterations)
+    return optimum
+
+
+def _solved(problem: Problem, solve: Callable[[Problem], Solution]) -> Solution | None:
+    """The optimum; ``None`` where walls contradict each other."""
+    try:
+        return solve(problem)
+    except ComputationError:
+        if problem.walls is None:
+            raise
+        return None
 
 
 def _sweep(problem: Problem, target: Solution, admission: Admission, solve: Callable[[Problem], Solution]) -> Solution:
@@ -101,7 +140,7 @@ def _sweep(problem: Problem, target: Solution, admission: Admission, solve: Call
         if (share == 1.0).all():
             break
         held = held | (share < 1.0)
-        target = solve(replace(problem, position_mm=position, held=held, pull=target.pull))
+        target = solve(replace(problem, position_mm=position, held=held, pull=target.pull, walls=None))
         steps += target.n_iterations
     return replace(evaluate(problem.at(position), eps=_COINCIDENT_MM, pull=target.pull), n_iterations=steps)
 

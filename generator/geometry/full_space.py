@@ -59,14 +59,15 @@ def solve_full(problem: Problem, options: FullOptions | None = None) -> Solution
         "ipopt.max_cpu_time": options.max_seconds,
     }  # fmt: skip
     solver = casadi.nlpsol("geometry", "ipopt", programme.expressions, settings)
-    result = solver(x0=programme.start, lbx=programme.lower, ubx=programme.upper, lbg=0.0, ubg=0.0)
+    result = solver(x0=programme.start, lbx=programme.lower, ubx=programme.upper, lbg=0.0, ubg=programme.slack)
     status, count = solver.stats()["return_status"], int(solver.stats()["iter_count"])
     if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
         raise ComputationError(
             f"Ipopt found no optimal geometry: {status} after {count} iterations ({problem.n_nodes - 1} segments); "
             "loosen l_min_mm and r_min_mm, raise the number of iterations, or use geometry.solver=reduced"
         )
-    return programme.solution(np.asarray(result["x"]).ravel(), np.asarray(result["lam_x"]).ravel(), count)
+    values, held, rows = (np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
+    return programme.solution(values, held, rows, count)
 
 
 class Programme:
@@ -97,6 +98,10 @@ class Programme:
         length = casadi.SX.sym("l", self.segments.size)
         radius = casadi.SX.sym("r", self.segments.size)
         rows = [self._lengths(x, length), self._poiseuille(tree, p, root, length, radius), self._murray(tree, radius)]
+        walls = self._walls(x)
+        self.n_walls = walls.size1()
+        self.slack = np.concatenate((np.zeros(sum(row.size1() for row in rows)), np.full(self.n_walls, np.inf)))
+        rows.append(walls)
         self.expressions = {
             "x": casadi.vertcat(casadi.vec(x), p, root, length, radius),
             "f": self._objective(length, radius, root),
@@ -107,11 +112,29 @@ class Programme:
     def _ends(self) -> tuple[list[int], list[int]]:
         return self.problem.topology.parent[self.segments].tolist(), self.segments.tolist()
 
-    def _lengths(self, x: Any, length: Any) -> Any:
+    def _nodes(self, x: Any) -> Any:
         import casadi
 
         nodes = casadi.SX(casadi.DM(self.problem.position_mm))
         nodes[self.moving.tolist(), :] = casadi.DM(self.problem.position_mm[self.moving]) + self.scale_mm * x
+        return nodes
+
+    def _walls(self, x: Any) -> Any:
+        """How far within their planes points are, in mean lengths."""
+        import casadi
+
+        walls = self.problem.walls
+        if walls is None:
+            return casadi.SX(0, 1)
+        nodes, share = self._nodes(x), casadi.repmat(casadi.DM(walls.share), 1, 3)
+        near, far = self.problem.topology.parent[walls.segment].tolist(), walls.segment.tolist()
+        point = (1.0 - share) * nodes[near, :] + share * nodes[far, :]
+        return (casadi.sum2(casadi.DM(walls.normal) * point) - casadi.DM(walls.offset_mm)) / self.scale_mm
+
+    def _lengths(self, x: Any, length: Any) -> Any:
+        import casadi
+
+        nodes = self._nodes(x)
         above, end = self._ends()
         step = (nodes[end, :] - nodes[above, :]) / casadi.repmat(casadi.DM(self.length_mm), 1, 3)
         return 0.5 * (length**2 - casadi.sum2(step**2) - casadi.DM((self.eps / self.length_mm) ** 2))
@@ -195,7 +218,9 @@ class Programme:
             )
         self.upper = np.concatenate((unbounded, root * np.inf, longest / self.length_mm, widest))
 
-    def solution(self, values: np.ndarray, multipliers: np.ndarray, iterations: int) -> Solution:
+    def solution(
+        self, values: np.ndarray, multipliers: np.ndarray, of_rows: np.ndarray, iterations: int
+    ) -> Solution:
         """The tree at Ipopt's positions, its radii once more by the recursion: both must agree.
 
         :raises ComputationError: when they do not.
@@ -210,6 +235,9 @@ class Programme:
             given = replace(problem, perfusion=perfusion).at_given_pressure()
         else:
             given = problem
+        if problem.walls is not None:
+            push = np.maximum(0.0, -of_rows[of_rows.size - self.n_walls :]) * self.unit_mm3 / self.scale_mm
+            given = replace(given, walls=replace(problem.walls, pull=push))
         pull = np.zeros(problem.n_nodes)
         pull[self.segments] = np.maximum(0.0, -multipliers[-2 * s : -s]) * self.unit_mm3 / self.length_mm
         found = evaluate(given.at(position), eps=self.eps, pull=pull, n_iterations=iterations)
@@ -222,6 +250,6 @@ class Programme:
         cost = found.cost_mm3
         if self.frees_pressure:
             cost += problem.perfusion.flow_mm3_s * root / problem.physics.metabolic_pa_s
-        return replace(found, problem=problem, cost_mm3=cost)
+        return replace(found, problem=replace(problem, walls=given.walls), cost_mm3=cost)
 
 

@@ -137,5 +137,5 @@ def split(solution: Solution) -> Problem | None:
     topology = Topology(np.concatenate(([-1], rank[parent[order[1:]]])).astype(np.int32))
     return replace(
         problem, topology=topology, position_mm=new_position[order], fixed_radius_mm=radius[order], held=held[order],
-        pull=held_by[order],
+        pull=held_by[order], walls=None,
     )  # fmt: skip

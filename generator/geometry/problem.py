@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 
 from generator.geometry.viscosity import fahraeus_lindqvist_pa_s
+from generator.geometry.walls import Walls
 from generator.haemodynamics import Perfusion
 from vascval.core.errors import ComputationError, InputError
 from vascval.core.ordering import generation, n_terminals_below
@@ -69,6 +70,7 @@ class Problem:
     * ``held`` (N,) bool: further nodes that stay where they are; ``None``: none;
     * ``pull`` (N,): a first guess of the forces, in mm^2, with which the lower bound on lengths holds segments;
       ``None``: zeros.
+    * ``walls``: planes that segments keep to one side of; ``None``: none.
 
     :raises InputError: when shapes or values make no sense, or the root tree is not connected to the root.
     :raises ComputationError: when the root tree uses up the pressure.
@@ -81,6 +83,7 @@ class Problem:
     fixed_radius_mm: np.ndarray = None  # type: ignore[assignment]
     held: np.ndarray = None  # type: ignore[assignment]
     pull: np.ndarray = None  # type: ignore[assignment]
+    walls: Walls | None = None
 
     def __post_init__(self) -> None:
         n = self.topology.n_nodes

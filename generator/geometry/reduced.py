@@ -13,13 +13,14 @@ One step costs O(N).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from generator.geometry import _reduced_kernels as kernels
 from generator.geometry import _viscosity_kernels as viscosity
 from generator.geometry.problem import Problem, Solution
+from generator.geometry.walls import WallForces
 from vascval.core.errors import ComputationError, InputError
 from vascval.core.tree import Tree
 from vascval.core.units import PA_S_PER_CP
@@ -57,7 +58,6 @@ def solve_reduced(problem: Problem, options: ReducedOptions | None = None) -> So
     model = Model(problem)
     position = np.array(problem.position_mm)
     scale = float(problem.lengths(position)[problem.free].mean())
-    shortest = problem.physics.l_min_mm
     steps = 0
     model.eps = options.smoothing[0] * scale
     model.cost(position)
@@ -67,25 +67,24 @@ def solve_reduced(problem: Problem, options: ReducedOptions | None = None) -> So
         model.stiffen()
         found = _descend(model, position, options.rough, _ROUGH_STEPS)
         position, steps = found.position, steps + found.steps
-        model.update_bound()
+        model.update_bounds(position)
     model.eps = options.smoothing[-1] * scale
     last = np.inf
     for _ in range(40):
         model.stiffen()
         found = _descend(model, position, options.tolerance, options.max_steps)
         position, steps = found.position, steps + found.steps
-        violation, where = model.update_bound()
+        violation, where = model.update_bounds(position)
         if not found.residual <= options.tolerance:
             break
         if violation <= options.violation:
-            solution = evaluate(problem.at(position), eps=model.eps, pull=model.pull, n_iterations=steps)
-            return _thick_enough(solution)
+            walls = None if model.walls is None else model.walls.found()
+            there = replace(problem, position_mm=position, walls=walls)
+            return _thick_enough(evaluate(there, eps=model.eps, pull=model.pull, n_iterations=steps))
         if violation > 0.25 * last:
             model.stiffening *= 4.0
         last = violation
-    bound = ""
-    if violation > options.violation:
-        bound = f"; {where}, where l_min_mm={shortest:g} is asked for: lower it"
+    bound = f"; {where}" if violation > options.violation else ""
     raise ComputationError(
         f"the geometry of {problem.topology.n_terminals} terminals did not converge in {steps} steps: the forces at a "
         f"node are out of balance by {found.residual:.2g} of those that pull at it, {options.tolerance:g} being asked "
@@ -158,6 +157,7 @@ class Model:
         self.push, self.lift, self.hold, self.stiff = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
         self.pull, self.bound = np.array(problem.pull), np.zeros(n)
         self.factor, self.bend, self.feedback = np.ones(n), np.zeros(n), np.zeros(n)
+        self.walls = None if problem.walls is None else WallForces(problem, problem.walls)
         self.seen_slope, self.seen_length, self.along = np.zeros(n), np.zeros(n), np.zeros(n)
         self._scratch, self._blocks = np.zeros(n), (np.zeros((n, 6)), np.zeros((n, 6)))
 
@@ -171,6 +171,8 @@ class Model:
             self.length, self.chord, self.radius, self.problem.free, self.physics.l_min_mm, self.pull, self.bound,
             self.push, self.lift, self.hold, self.stiff,
         )  # fmt: skip
+        if self.walls is not None:
+            total += self.walls.cost(position)
         return total + self._power_mm3()
 
     def _power_mm3(self) -> float:
@@ -260,6 +262,8 @@ class Model:
         kernels.pull(
             self.parent, position, self.problem.moves, self.chord, self.length, self.slope, self.hold, gradient
         )
+        if self.walls is not None:
+            self.walls.add_to(gradient)
         return gradient
 
     def residual(self, gradient: np.ndarray) -> float:
@@ -275,23 +279,31 @@ class Model:
         kernels.stiffness(
             self.slope, self.hold, self.length, self.seen_slope, self.seen_length, self.along, across
         )  # fmt: skip
-        stiff, rhs = self.stiff + self.along, gradient.copy()
-        step = self._solve(position, across, stiff, gradient)
+        stiff, rhs, anchor = self.stiff + self.along, gradient.copy(), np.zeros_like(self._blocks[1])
+        if self.walls is not None:
+            self.walls.anchor(anchor)
+        step = self._solve(position, across, stiff, anchor, gradient)
         runs_into = kernels.foresee(
             self.parent, position, moves, self.chord, step, self.pull, self.bound, self.physics.l_min_mm, self.stiff,
             stiff, rhs,
         )  # fmt: skip
+        if self.walls is not None:
+            runs_into |= self.walls.foresee(position, step, anchor, rhs)
         if runs_into:
-            held = self._solve(position, across, stiff, rhs)
+            held = self._solve(position, across, stiff, anchor, rhs)
             if kernels.dot(gradient, held) > 0.0:
                 return held
         return step
 
-    def _solve(self, position: np.ndarray, weight: np.ndarray, stiff: np.ndarray, rhs: np.ndarray) -> np.ndarray:
+    def _solve(
+        self, position: np.ndarray, weight: np.ndarray, stiff: np.ndarray, anchor: np.ndarray, rhs: np.ndarray
+    ) -> np.ndarray:
         out = np.empty_like(rhs)
-        kernels.solve_laplacian(
-            self.parent, position, self.problem.moves, self.chord, self.length, weight, stiff, 1.0, rhs, *self._blocks,
-            out,
+        block, diagonal = self._blocks
+        diagonal[:] = anchor
+        kernels.solve_anchored(
+            self.parent, position, self.problem.moves, self.chord, self.length, weight, stiff, 1.0, rhs, block,
+            diagonal, out,
         )  # fmt: skip
         return out
 
@@ -301,12 +313,19 @@ class Model:
             pressing = np.maximum(self.slope, 1e-3 * self.slope.max() + 1e-12)
             stiff = np.maximum(self.stiffening * pressing / self.physics.l_min_mm, self.bound)
             self.bound = np.where(self.problem.bounded, stiff, 0.0)
+        if self.walls is not None:
+            self.walls.stiffen(self.slope, self.stiffening, float(self.length[self.problem.free].mean()))
 
-    def update_bound(self) -> tuple[float, str]:
+    def update_bounds(self, position: np.ndarray) -> tuple[float, str]:
         """New multipliers; the largest relative violation and, in words, where it is.
 
-        A bound that pushes where its segment is longer is violated too.
+        A bound that pushes where it is not reached is violated too.
         """
+        beyond = 0.0 if self.walls is None else self.walls.update(position)
+        short, where = self._update_lengths()
+        return (short, where) if short >= beyond else (beyond, f"walls are crossed by {beyond:.2g} of their margin")
+
+    def _update_lengths(self) -> tuple[float, str]:
         limit = self.physics.l_min_mm
         if limit == 0.0:
             return 0.0, ""
@@ -314,7 +333,8 @@ class Model:
         self.pull = np.maximum(0.0, self.pull + self.bound * gap)
         gap = np.where(self.pull > 0.0, np.abs(gap), gap)
         i = int(gap.argmax())
-        return max(0.0, float(gap[i]) / limit), f"segment {i} has length {self.chord[i]:.4g} mm"
+        where = f"segment {i} has length {self.chord[i]:.4g} mm, where l_min_mm={limit:g} is asked for: lower it"
+        return max(0.0, float(gap[i]) / limit), where
 
     def tree(self, position: np.ndarray) -> Tree:
         """The tree at these positions, with exact lengths, radii, flows and pressures."""
