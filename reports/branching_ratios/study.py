@@ -50,9 +50,9 @@ optimising improves the asymmetry over generations 2 to 6, and both become more 
 {table(rows)}
 
 New terminals keep at least the mean spacing from the tree at first, as in the growth that the paper takes over, so that
-they cover the box evenly. By default this project asks for {DEFAULT:g} of it; trees are then more asymmetric in the last
-generation to begin with, and the change over generations 2 to 6 is {other:+.0f} % (mean of {few} of {len(seeds[:5])}
-seeds). The sizes of the steps in the paper's figure are not available as numbers.
+they cover the box evenly. By default this project asks for {DEFAULT:g} of it; trees are then more asymmetric in the
+last generation to begin with, and the change over generations 2 to 6 is {other:+.0f} % (mean of {few} of
+{len(seeds[:5])} seeds). The sizes of the steps in the paper's figure are not available as numbers.
 """
     said = "lower over generations 2 to 6 (in words)"
     return Page(
