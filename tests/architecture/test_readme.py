@@ -33,7 +33,7 @@ QUICK = [line for block in BLOCK.finditer(TEXT) if block["quick"] for line in ty
 
 def test_set_up_takes_two_commands():
     assert "pip install . && vascval demo" in LINES
-    assert 'pip install ".[test]" && pytest' in LINES
+    assert 'pip install ".[test]" && pytest -n 2' in LINES
 
 
 @pytest.mark.parametrize("line", LINES)
