@@ -47,13 +47,13 @@ def optimise(
     admission = admission or Admission()
     if not contract:
         return admitted(problem, admission, _solver(solver, _COLD))
-    rough, close, fine = (_solver(solver, options) for options in (_ROUGH, _CLOSE, _FINE))
-    solution = _contract(admitted(problem, admission, _solver(solver, _ROUGH_COLD)), rough, admission, 2)
+    close, fine = (_solver(solver, options) for options in (_CLOSE, _FINE))
+    solution = _contract(admitted(problem, admission, _solver(solver, _ROUGH_COLD)), close, admission, 2)
     for _ in range(_SPLITS if splitting else 0):
         trial = split(solution)
         if trial is None or (not admission.always and admission.offending(trial, evaluate(trial).tree).any()):
             break
-        better = _contract(admitted(trial, admission, rough), rough, admission, 1)
+        better = _contract(admitted(trial, admission, close), close, admission, 1)
         if not better.cost_mm3 < solution.cost_mm3 * (1.0 - _WORTH):
             break
         solution = better
