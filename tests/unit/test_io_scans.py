@@ -382,14 +382,32 @@ def test_damaged_packed_files_are_refused(name: str, tmp_path: Path) -> None:
         open_scan(tmp_path / name).load()
 
 
-def test_scaled_values_are_left_to_the_library(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("place", "value"), [(112, 2.0), (80, -0.5), (108, 0.0), (108, 288.0)])
+def test_nifti_with_a_scale_or_oddities_is_left_to_the_library(place: int, value: float, tmp_path: Path) -> None:
+    """Slope, spacing, and beginning of the values."""
     write_image(tmp_path / "a.nii", sample("int16"))
     data = bytearray((tmp_path / "a.nii").read_bytes())
-    struct.pack_into("<2f", data, 112, 2.0, 1.0)
+    struct.pack_into("<f", data, place, value)
     (tmp_path / "a.nii").write_bytes(data)
     volume = open_scan(tmp_path / "a.nii")
     assert isinstance(volume, Volume)
-    assert np.array_equal(volume.values, 2.0 * sample("int16") + 1.0)
+    if place != 108:
+        assert np.array_equal(volume.values, sample("int16") * (2 if place == 112 else 1))
+
+
+def test_values_of_a_nifti_are_those_of_its_own_file(tmp_path: Path) -> None:
+    """The library takes those of ``a.nii``, wherever it lies beside ``a.nii.gz``."""
+    write_image(tmp_path / "a.nii", sample("int16"))
+    write_image(tmp_path / "a.nii.gz", sample("int16")[::-1], packed=True)
+    assert np.array_equal(read_volume(tmp_path / "a.nii.gz").values, sample("int16")[::-1])
+    assert np.array_equal(read_volume(tmp_path / "a.nii").values, sample("int16"))
+    data = bytearray(gzip.decompress((tmp_path / "a.nii.gz").read_bytes()))
+    struct.pack_into("<f", data, 112, 2.0)
+    (tmp_path / "a.nii.gz").write_bytes(gzip.compress(data))
+    with pytest.raises(InputError, match=r"lies beside a\.nii, whose values would be taken"):
+        read_volume(tmp_path / "a.nii.gz")
+    (tmp_path / "a.nii").unlink()
+    assert np.array_equal(read_volume(tmp_path / "a.nii.gz").values, 2 * sample("int16")[::-1])
 
 
 @pytest.mark.parametrize("sizes", ["4294967296 4294967296 2", "3 3 9223372036854775807", "65536 65536 65536"])

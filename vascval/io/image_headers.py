@@ -225,7 +225,7 @@ def _nifti(path: Path, raw: bytes, endian: str, is_gzip: bool) -> Header:
         require_bytes(path, [path], math.prod(sizes) * bits // 8, data_at)
     unpacked = data_at + math.prod(sizes) * bits // 8 if is_packed else 0
     flat = _nifti_flat(path, raw, endian, sizes, bits, data_at)
-    if is_packed != is_gzip:  # the library goes by the name
+    if is_packed != is_gzip or data_at < size or min(pixdim) < 0:  # the library knows what it makes of these
         flat = None
     elif is_packed:
         flat = gzipped(flat, 0)

@@ -125,9 +125,10 @@ def open_scan(
 
 
 def read_stored(path: Path, spacing_mm: Sequence[float] | None, allowed_bytes: int) -> Volume:
-    """The array in a zarr or HDF5 file, held whole."""
+    """A volume that can be read block by block, held whole."""
     scan = open_scan(path, spacing_mm=spacing_mm)
-    assert isinstance(scan, Scan)
+    if isinstance(scan, Volume):
+        return scan
     require_memory(path, allowed_bytes, scan.shape[::-1], scan.dtype.itemsize)
     try:
         return scan.load()

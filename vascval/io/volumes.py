@@ -147,14 +147,17 @@ def read_volume(
     """
     path = Path(path)
     allowed = default_memory_bytes() if max_memory_bytes is None else int(max_memory_bytes)
-    if zarr_arrays.is_zarr(path) or hdf5_arrays.is_hdf5(path):
+    stored = zarr_arrays.is_zarr(path) or hdf5_arrays.is_hdf5(path)
+    described = None if stored else describe(path, given_spacing(spacing_mm))
+    if described is None or (described.header.kind == "NIfTI" and described.header.flat is not None):
         from vascval.io.scans import read_stored
 
         return read_stored(path, spacing_mm, allowed)
-    described = describe(path, given_spacing(spacing_mm))
     header = described.header
     require_memory(path, allowed, header.sizes, header.itemsize)
     require_whole(path, header)
+    if header.kind == "NIfTI":
+        _require_alone(path)
     if header.kind == "MetaImage":
         raster = meta_image.read_voxels(path, header)
     else:
@@ -166,6 +169,12 @@ def read_volume(
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return volume
+
+
+def _require_alone(path: Path) -> None:
+    """Refuses ``x.nii.gz`` beside ``x.nii``: the library takes the header of the one and the values of the other."""
+    if path.name.lower().endswith(".gz") and path.with_suffix("").exists():
+        raise InputError(f"{path}: lies beside {path.stem}, whose values would be taken for its own; move one away")
 
 
 def given_spacing(spacing_mm: Sequence[float] | None) -> np.ndarray | None:
