@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import pytest
 
-LIMIT_S = float(os.environ.get("BRANCHES_SECONDS", "20"))
+LIMIT_S = float(os.environ.get("BRANCHES_SECONDS", "60"))
 
 
 def _stop(*_: object) -> None:
