@@ -37,4 +37,3 @@ def make_domain(config: DomainConfig) -> Domain:
         f"{path}: neither a volume nor a surface by its name; volumes are NRRD, NIfTI, MetaImage or TIFF, surfaces "
         f"{', '.join(suffix[1:].upper() for suffix in SUFFIXES)}"
     )
-

@@ -118,9 +118,7 @@ def _turned_alike(faces: np.ndarray, notes: list[str]) -> np.ndarray:
     import pyvista
 
     count = len(faces)
-    surface = pyvista.PolyData(
-        np.zeros((int(faces.max()) + 1, 3)), np.column_stack([np.full(count, 3), faces]).ravel()
-    )
+    surface = pyvista.PolyData(np.zeros((int(faces.max()) + 1, 3)), np.column_stack([np.full(count, 3), faces]).ravel())
     turned = surface.compute_normals(
         cell_normals=False, point_normals=True, consistent_normals=True, split_vertices=False,
         auto_orient_normals=False, non_manifold_traversal=False,

@@ -218,9 +218,7 @@ class Programme:
             )
         self.upper = np.concatenate((unbounded, root * np.inf, longest / self.length_mm, widest))
 
-    def solution(
-        self, values: np.ndarray, multipliers: np.ndarray, of_rows: np.ndarray, iterations: int
-    ) -> Solution:
+    def solution(self, values: np.ndarray, multipliers: np.ndarray, of_rows: np.ndarray, iterations: int) -> Solution:
         """The tree at Ipopt's positions, its radii once more by the recursion: both must agree.
 
         :raises ComputationError: when they do not.
@@ -251,5 +249,3 @@ class Programme:
         if self.frees_pressure:
             cost += problem.perfusion.flow_mm3_s * root / problem.physics.metabolic_pa_s
         return replace(found, problem=replace(problem, walls=given.walls), cost_mm3=cost)
-
-

@@ -78,9 +78,7 @@ def _solver(solver: Solver, options: ReducedOptions) -> Callable[[Problem], Solu
     return solve_full if solver == "ipopt" else partial(solve_reduced, options=options)
 
 
-def _contract(
-    solution: Solution, solve: Callable[[Problem], Solution], admission: Admission, times: int
-) -> Solution:
+def _contract(solution: Solution, solve: Callable[[Problem], Solution], admission: Admission, times: int) -> Solution:
     """Contract what is degenerate and optimise again, until nothing is, but at most so many times."""
     for _ in range(times):
         smaller = _admissible_contraction(solution, admission)

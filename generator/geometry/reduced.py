@@ -348,9 +348,7 @@ class Model:
         return volume + self._power_mm3()
 
 
-def tree_of(
-    problem: Problem, position: np.ndarray, radius: np.ndarray, factor: np.ndarray, drop_pa: float
-) -> Tree:
+def tree_of(problem: Problem, position: np.ndarray, radius: np.ndarray, factor: np.ndarray, drop_pa: float) -> Tree:
     """A tree with its columns from positions, radii, viscosity factors and the pressure drop from root to terminals."""
     parent, length = problem.topology.parent, problem.lengths(position)
     stubs = problem.topology.terminals[length[problem.topology.terminals] <= 0.0]
@@ -371,9 +369,7 @@ def tree_of(
     return Tree(problem.topology, position, np.where(np.arange(radius.size) > 0, radius, 0.0), columns)
 
 
-def evaluate(
-    problem: Problem, *, eps: float = 0.0, pull: np.ndarray | None = None, n_iterations: int = 0
-) -> Solution:
+def evaluate(problem: Problem, *, eps: float = 0.0, pull: np.ndarray | None = None, n_iterations: int = 0) -> Solution:
     """The problem where it begins, nothing moved: radii, tree, cost, and how far it is from an optimum.
 
     :param eps: smoothing of the lengths, in mm, that the forces are judged by.

@@ -29,9 +29,7 @@ class GeometryStage:
     def problem(self, parent: np.ndarray, position_mm: np.ndarray) -> Problem:
         radius = np.full(parent.size, np.nan)
         radius[: self.root_tree.radius_mm.size] = self.root_tree.radius_mm
-        return Problem(
-            Topology(parent), position_mm, self.config.flow(), self.config.physics(), fixed_radius_mm=radius
-        )
+        return Problem(Topology(parent), position_mm, self.config.flow(), self.config.physics(), fixed_radius_mm=radius)
 
     @property
     def during_growth(self) -> bool:

@@ -74,9 +74,7 @@ def test_location_by_its_definition(cast, tree, window, tolerance):
             if not here:
                 assert math.isnan(row[f"{name}_matched_share"])
                 continue
-            near = [
-                min((to_line(samples.points[k], other.polyline(i)) for i in like), default=math.inf) for k in here
-            ]
+            near = [min((to_line(samples.points[k], other.polyline(i)) for i in like), default=math.inf) for k in here]
             hit = [d <= max(tolerance, one.radius_mm[samples.segment[k]]) for d, k in zip(near, here)]
             # sums of some tens of numbers of order 1
             assert row[f"{name}_matched_share"] == pytest.approx(np.average(hit, weights=length), abs=1e-12)

@@ -125,9 +125,7 @@ def test_distance_between_segments(a, b, c, d):
     found = np.sqrt(overlaps.square_between(*a, *b, record(tuple(c), tuple(d))))
     steps = np.linspace(0, 1, 201)[:, None]
     # along one segment densely, to the other exactly: off by at most a quarter of a step for equal distances
-    sampled = min(
-        np.sqrt(index.square_distance(record(tuple(c), tuple(d)), *(a + t * (b - a)))) for t in steps
-    )
+    sampled = min(np.sqrt(index.square_distance(record(tuple(c), tuple(d)), *(a + t * (b - a)))) for t in steps)
     assert found <= sampled + 1e-6
     assert found >= sampled - np.linalg.norm(b - a) / 400 - 1e-6
 

@@ -24,9 +24,7 @@ def perfusion(gamma: float = 2.55) -> Perfusion:
 def grown(gamma: float = 2.55, n: int = 300, domain=None, root=None, **options) -> Tree:
     domain = domain or Box((90.0, 70.0, 16.0))
     root = np.zeros(3) if root is None else root
-    growth = Growth(
-        domain, perfusion(gamma), root, n, options=GrowthOptions(**options), rng=np.random.default_rng(3)
-    )
+    growth = Growth(domain, perfusion(gamma), root, n, options=GrowthOptions(**options), rng=np.random.default_rng(3))
     for _ in growth.steps():
         pass
     return growth.tree()

@@ -118,9 +118,7 @@ def test_truncated_files(tmp_path: Path, capfd: pytest.CaptureFixture[str], kept
 
 @pytest.mark.parametrize("binary", [False, True])
 @pytest.mark.parametrize("kept", [0.2, 0.5, 0.8, 0.97])
-def test_truncated_legacy_files(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], kept: float, binary: bool
-) -> None:
+def test_truncated_legacy_files(tmp_path: Path, capfd: pytest.CaptureFixture[str], kept: float, binary: bool) -> None:
     whole = LEGACY.encode()
     if binary:
         whole = (
@@ -140,18 +138,14 @@ def test_truncated_legacy_files(
     [("POINTS 4", "POINTS 999999999999"), ("POINTS 4", "POINTS -4"), ("LINES 3 9", "LINES 3 99999999999"),
      ("LINES 3 9", "LINES 99999999 9"), ("CELL_DATA 3", "CELL_DATA 888888888888")],
 )  # fmt: skip
-def test_legacy_counts_beyond_the_file(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], old: str, new: str
-) -> None:
+def test_legacy_counts_beyond_the_file(tmp_path: Path, capfd: pytest.CaptureFixture[str], old: str, new: str) -> None:
     (tmp_path / "a.vtk").write_text(LEGACY.replace(old, new))
     refused(tmp_path / "a.vtk", capfd, r"bytes\); it is truncated or damaged")
 
 
 @pytest.mark.parametrize("where", ["points", "lines"])
 @pytest.mark.parametrize("count", ["99999999999999", "-4", "99999999999999999999999999", "four"])
-def test_vtp_counts_beyond_the_file(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], where: str, count: str
-) -> None:
+def test_vtp_counts_beyond_the_file(tmp_path: Path, capfd: pytest.CaptureFixture[str], where: str, count: str) -> None:
     (tmp_path / "a.vtp").write_text(vtp(**{where: count}))  # type: ignore[arg-type]
     tracemalloc.start()
     refused(tmp_path / "a.vtp", capfd, "an array cannot be decoded .*; it is truncated or damaged")
@@ -173,9 +167,7 @@ def test_vtp_counts_beyond_the_file(
      ("Lines>", "Verts>", "0 lines for 4 and 3"),
      ("-5 0 15", "x 0 15", "truncated or damaged")],
 )  # fmt: skip
-def test_damaged_vtp(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], old: str, new: str, match: str
-) -> None:
+def test_damaged_vtp(tmp_path: Path, capfd: pytest.CaptureFixture[str], old: str, new: str, match: str) -> None:
     assert old in vtp()
     (tmp_path / "a.vtp").write_text(vtp().replace(old, new))
     refused(tmp_path / "a.vtp", capfd, match)

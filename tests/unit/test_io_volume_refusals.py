@@ -96,9 +96,7 @@ def test_two_axes(tmp_path: Path, capfd: pytest.CaptureFixture[str], suffix: str
 
 
 @pytest.mark.parametrize("suffix", [".nrrd", ".nii", ".mha"])
-def test_four_axes_and_a_fourth_of_size_one(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], suffix: str
-) -> None:
+def test_four_axes_and_a_fourth_of_size_one(tmp_path: Path, capfd: pytest.CaptureFixture[str], suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
     frames = np.stack([sample(), sample()])
     sitk.WriteImage(sitk.GetImageFromArray(frames, isVector=False), str(path))
@@ -163,7 +161,8 @@ def test_absurd_spacing_in_nifti_and_meta_image(tmp_path: Path, capfd: pytest.Ca
         path = tmp_path / "a.mha"
         path.write_bytes(
             f"ObjectType = Image\nNDims = 3\nElementSpacing = {text}\nDimSize = 4 3 2\n"
-            "ElementType = MET_UCHAR\nElementDataFile = LOCAL\n".encode() + bytes(24)
+            "ElementType = MET_UCHAR\nElementDataFile = LOCAL\n".encode()
+            + bytes(24)
         )
         refused(path, capfd, "spacing .* is absurd|truncated or damaged")
 
@@ -300,9 +299,7 @@ def test_a_detached_header_without_its_data(tmp_path: Path, capfd: pytest.Captur
     "pattern", ["s%s.raw 1 2 1", "s%03d%d.raw 1 2 1", "s%d.raw 1 2 0", "s%d.raw 1 99999999999 1", "%n"]
 )
 @pytest.mark.parametrize("suffix", WRITERS)
-def test_odd_data_file_patterns(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], suffix: str, pattern: str
-) -> None:
+def test_odd_data_file_patterns(tmp_path: Path, capfd: pytest.CaptureFixture[str], suffix: str, pattern: str) -> None:
     WRITERS[suffix](tmp_path / f"a{suffix}", pattern)
     refused(tmp_path / f"a{suffix}", capfd, "data file pattern")
 

@@ -87,8 +87,7 @@ def test_a_detached_header_over_several_files(tmp_path: Path, data_file: str) ->
     for number, plane in enumerate(sample(), start=1):
         (tmp_path / f"s{number}.raw").write_bytes(plane.tobytes())
     (tmp_path / "a.nhdr").write_text(
-        "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 6 5 4\nspacings: 1 1 1\nencoding: raw\n"
-        f"data file: {data_file}\n"
+        f"NRRD0004\ntype: uchar\ndimension: 3\nsizes: 6 5 4\nspacings: 1 1 1\nencoding: raw\ndata file: {data_file}\n"
     )
     (tmp_path / "a.mhd").write_text(
         "ObjectType = Image\nNDims = 3\nElementSpacing = 1 1 1\nDimSize = 6 5 4\nElementType = MET_UCHAR\n"
@@ -207,9 +206,7 @@ def test_the_voxels_are_held_once(tmp_path: Path) -> None:
     assert 60_000 < grown_kib < 90_000
 
 
-@pytest.mark.parametrize(
-    ("name", "voxels"), [("portalvein", 103_533), ("venoussystem", 143_180), ("liver", 2_865_131)]
-)
+@pytest.mark.parametrize(("name", "voxels"), [("portalvein", 103_533), ("venoussystem", 143_180), ("liver", 2_865_131)])
 def test_the_ircad_masks(shared_data: Callable[..., Path], name: str, voxels: int) -> None:
     mask = read_volume(shared_data("ircad01", f"3Dircadb1.1_{name}_mask.nrrd"))
     assert mask.values.shape == (129, 512, 512)

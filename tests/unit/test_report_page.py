@@ -24,10 +24,28 @@ from vascval.morphometry import analyze
 from vascval.report import view, write_analysis_report, write_compare_report
 
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"' $x^2$ _\n.vtp"
-ORIGIN = {"version": "1.2.3", "command": "compare", "config": {"label": None, "spacing_mm": [1.0, 1.0, 1.0]}, "seed": 7,
-          "inputs": [{"name": "cast.nrrd", "sha256": "ab" * 32, "bytes": 1234}]}
-SECTIONS = ["summary", "key-statistics", "overlay", "generations", "orders", "horton", "organs", "junctions", "image",
-            "checks", "notes", "provenance", "definitions"]
+ORIGIN = {
+    "version": "1.2.3",
+    "command": "compare",
+    "config": {"label": None, "spacing_mm": [1.0, 1.0, 1.0]},
+    "seed": 7,
+    "inputs": [{"name": "cast.nrrd", "sha256": "ab" * 32, "bytes": 1234}],
+}
+SECTIONS = [
+    "summary",
+    "key-statistics",
+    "overlay",
+    "generations",
+    "orders",
+    "horton",
+    "organs",
+    "junctions",
+    "image",
+    "checks",
+    "notes",
+    "provenance",
+    "definitions",
+]
 COMPARED = ["distributions", "location", "territories"]
 VOID = {"meta", "img", "input", "br", "hr", "link", "wbr"}
 
@@ -148,8 +166,10 @@ def test_hostile_names_are_text(report):
     found = page(report)
     assert len(found.all("script")) == 2  # the data of the scene and the viewer
     assert "alert" not in "".join(text for _, text in found.raw)
-    assert all("alert" not in value for name, value in
-               ((n, v or "") for tag, a in found.tags for n, v in a.items() if tag == "script"))
+    assert all(
+        "alert" not in value
+        for name, value in ((n, v or "") for tag, a in found.tags for n, v in a.items() if tag == "script")
+    )
     assert "<img src=x onerror=alert(2)>" in found.text
     assert all(image["src"] != "x" for image in found.all("img"))
 
@@ -183,8 +203,17 @@ def test_figures_are_written_as_svg_and_png(report):
     svg = {path.stem for path in (report / "figures").glob("*.svg")}
     png = {path.stem for path in (report / "figures").glob("*.png")}
     assert png == svg | {"overlay"}
-    wanted = {"n-segments", "radius-mean", "branching-ratio-mean", "strahler-n-elements", "distribution-radius",
-              "effect-sizes-1", "monopodial-sensitivity-2", "location-matched-0", "territories"}
+    wanted = {
+        "n-segments",
+        "radius-mean",
+        "branching-ratio-mean",
+        "strahler-n-elements",
+        "distribution-radius",
+        "effect-sizes-1",
+        "monopodial-sensitivity-2",
+        "location-matched-0",
+        "territories",
+    }
     assert svg >= wanted
     for path in (report / "figures").iterdir():
         start = b"\x89PNG\r\n" if path.suffix == ".png" else b"<?xml"
@@ -194,8 +223,21 @@ def test_figures_are_written_as_svg_and_png(report):
 
 def test_tables_have_the_columns_of_their_schemas(report):
     written = {path.stem: pd.read_csv(path) for path in (report / "tables").iterdir()}
-    for name in ("generations", "orders", "segments", "elements", "junctions", "horton", "connectivity", "totals",
-                 "monopodial-sensitivity", "distributions", "location", "segment-location", "territories"):
+    for name in (
+        "generations",
+        "orders",
+        "segments",
+        "elements",
+        "junctions",
+        "horton",
+        "connectivity",
+        "totals",
+        "monopodial-sensitivity",
+        "distributions",
+        "location",
+        "segment-location",
+        "territories",
+    ):
         properties = set(schemas.schema(f"table-{name}")["$defs"].popitem()[1]["properties"])
         assert set(written[name]) - {"source", "side"} == properties, name
         assert len(written[name]), name
@@ -220,8 +262,11 @@ def test_numbers_of_the_page_are_those_of_the_analysis(report, comparison):
 def test_the_same_inputs_give_the_same_bytes(report, tmp_path, comparison, cast, flat):
     write_compare_report(comparison, tmp_path / "again", provenance=copy.deepcopy(ORIGIN), skeleton=cast)
     first = {path.relative_to(report): path.read_bytes() for path in report.rglob("*") if path.is_file()}
-    again = {path.relative_to(tmp_path / "again"): path.read_bytes()
-             for path in (tmp_path / "again").rglob("*") if path.is_file()}
+    again = {
+        path.relative_to(tmp_path / "again"): path.read_bytes()
+        for path in (tmp_path / "again").rglob("*")
+        if path.is_file()
+    }
     assert first.keys() == again.keys()
     assert [str(name) for name in first if first[name] != again[name]] == []
 

@@ -22,9 +22,20 @@ S, M, N = "\N{NARROW NO-BREAK SPACE}", "\N{MINUS SIGN}", "\N{EN DASH}"
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (0.0, "0"), (1.0, "1.00"), (0.24232, "0.242"), (9.999, "10.0"), (0.0009996, "0.00100"), (1234.5, f"1{S}234"),
-        (-2.5, f"{M}2.50"), (3.3697e-5, f"3.37{S}×{S}10⁻⁵"), (1.5e6, f"1.50{S}×{S}10⁶"), (999999.0, f"1.00{S}×{S}10⁶"),
-        (None, N), (float("nan"), N), (pd.NA, N), (np.float64(2.0), "2.00"),
+        (0.0, "0"),
+        (1.0, "1.00"),
+        (0.24232, "0.242"),
+        (9.999, "10.0"),
+        (0.0009996, "0.00100"),
+        (1234.5, f"1{S}234"),
+        (-2.5, f"{M}2.50"),
+        (3.3697e-5, f"3.37{S}×{S}10⁻⁵"),
+        (1.5e6, f"1.50{S}×{S}10⁶"),
+        (999999.0, f"1.00{S}×{S}10⁶"),
+        (None, N),
+        (float("nan"), N),
+        (pd.NA, N),
+        (np.float64(2.0), "2.00"),
     ],
 )
 def test_measure(value, text):
@@ -40,13 +51,26 @@ def test_a_spread_that_is_rounding_is_none():
 @pytest.mark.parametrize(
     ("form", "value", "text"),
     [
-        (formats.count, 3880, f"3{S}880"), (formats.count, np.int64(7), "7"), (formats.count, pd.NA, N),
-        (formats.percent, 0.061, f"6.1{S}%"), (formats.percent, 0.5, f"50{S}%"), (formats.percent, 0.0, f"0{S}%"),
-        (formats.change, 0.0, f"0{S}%"), (formats.change, 0.0313, f"+3.1{S}%"), (formats.change, -0.7, f"{M}70{S}%"),
-        (formats.change, 38.2, f"×{S}39"), (formats.change, 162.5, f"×{S}164"), (formats.change, None, N),
-        (formats.p_value, 1e-9, "< 0.001"), (formats.p_value, 0.0064, "0.006"), (formats.p_value, 0.507, "0.51"),
-        (formats.effect, -0.9933, f"{M}0.99"), (formats.effect, 0.35, "+0.35"), (formats.effect, float("nan"), N),
-        (formats.effect, -0.004, "0.00"), (formats.effect, 0.0, "0.00"),
+        (formats.count, 3880, f"3{S}880"),
+        (formats.count, np.int64(7), "7"),
+        (formats.count, pd.NA, N),
+        (formats.percent, 0.061, f"6.1{S}%"),
+        (formats.percent, 0.5, f"50{S}%"),
+        (formats.percent, 0.0, f"0{S}%"),
+        (formats.change, 0.0, f"0{S}%"),
+        (formats.change, 0.0313, f"+3.1{S}%"),
+        (formats.change, -0.7, f"{M}70{S}%"),
+        (formats.change, 38.2, f"×{S}39"),
+        (formats.change, 162.5, f"×{S}164"),
+        (formats.change, None, N),
+        (formats.p_value, 1e-9, "< 0.001"),
+        (formats.p_value, 0.0064, "0.006"),
+        (formats.p_value, 0.507, "0.51"),
+        (formats.effect, -0.9933, f"{M}0.99"),
+        (formats.effect, 0.35, "+0.35"),
+        (formats.effect, float("nan"), N),
+        (formats.effect, -0.004, "0.00"),
+        (formats.effect, 0.0, "0.00"),
     ],
 )
 def test_other_formats(form, value, text):
@@ -123,8 +147,12 @@ def test_straight_tubes_are_the_segments():
 
 @pytest.mark.parametrize(
     ("extent", "towards", "words"),
-    [((9, 2, 9), (0, -1, 0), "along +y"), ((9, 9, 2), (0, 0, 1), f"along {M}z"), ((2, 9, 9), (1, 0, 0), f"along {M}x"),
-     ((9, 9, 9), (0, -1, 0), "along +y")],
+    [
+        ((9, 2, 9), (0, -1, 0), "along +y"),
+        ((9, 9, 2), (0, 0, 1), f"along {M}z"),
+        ((2, 9, 9), (1, 0, 0), f"along {M}x"),
+        ((9, 9, 9), (0, -1, 0), "along +y"),
+    ],
 )
 def test_view_is_along_the_flattest_axis(extent, towards, words):
     seen = scene.viewpoint(np.zeros(3), np.array(extent, float))

@@ -19,7 +19,7 @@ Examples:
   vascval analyze tree.vtp
   vascval analyze cast.nrrd --label 1 -o cast-statistics --json cast.json
   vascval analyze tree.swc --unit um --json - | jq .summary
-"""
+""",
 )
 @click.argument("source", metavar="VOLUME_OR_TREE", type=click.Path(path_type=Path))
 @click.option(
@@ -46,9 +46,7 @@ def analyze(
     sources.check_json(json_file, [source])
     from vascval.io.provenance import provenance
 
-    origin = provenance(
-        command="analyze", config={**selection.config(), "unit": unit}, seed=None, inputs=[source]
-    )
+    origin = provenance(command="analyze", config={**selection.config(), "unit": unit}, seed=None, inputs=[source])
     with progress() as observer:
         measured = sources.measure(source, source.name, selection, unit, observer)
         if directory is not None:

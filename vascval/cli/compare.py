@@ -35,7 +35,7 @@ Examples:
 The report is a directory (default {DIRECTORY}, in the current one): report.html, one
 file that opens offline; figures/ as SVG and PNG; tables/ as CSV; report.json; and
 the tree of the cast as cast.vtp. With --json alone no directory is written.
-"""
+""",
 )
 @click.argument("cast", type=click.Path(path_type=Path))
 @click.argument("trees", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="TREE...")
@@ -133,9 +133,7 @@ def write_report(
             write_vtp(against.analysis.tree, work / "cast.vtp", provenance=origin)
 
 
-def announce(
-    comparison: Comparison, directory: Path | None, json_file: str | None, origin: Mapping[str, Any]
-) -> None:
+def announce(comparison: Comparison, directory: Path | None, json_file: str | None, origin: Mapping[str, Any]) -> None:
     """Prints the short tables and where the report is, or the JSON document."""
     document = comparison.document()
     if json_file != "-":

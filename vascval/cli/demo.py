@@ -34,7 +34,7 @@ Examples:
 Leaves in {DIRECTORY}, or where -o says, the report (report.html opens in a browser)
 and the two files that were compared, so that the same can be had by
   vascval compare {DIRECTORY}/cast.nrrd {DIRECTORY}/tree.vtp
-"""
+""",
 )
 @click.option(
     "-o",

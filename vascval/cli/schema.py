@@ -21,7 +21,7 @@ Examples:
   vascval schema                      the names
   vascval schema compare > compare.schema.json
   vascval schema --write data_schemas
-"""
+""",
 )
 @click.argument("name", required=False)
 @click.option("--write", "directory", type=click.Path(path_type=Path), metavar="DIR", help="Write all of them to DIR.")

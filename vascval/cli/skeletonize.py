@@ -19,7 +19,7 @@ Examples:
   vascval skeletonize cast.nrrd -o cast.vtp
   vascval skeletonize ct.nii.gz --label 64 -o portal.vtp --json portal.json
   vascval skeletonize microct.mha --threshold auto --root 10.2,4,0 -o cast.vtp
-"""
+""",
 )
 @click.argument("volume", type=click.Path(path_type=Path))
 @click.option(

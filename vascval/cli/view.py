@@ -16,7 +16,7 @@ from vascval.cli.options import unit_option
 Examples:
   vascval view tree.vtp
   vascval view tree.swc --screenshot tree.png        without a display too
-"""
+""",
 )
 @click.argument("tree", type=click.Path(path_type=Path))
 @click.option("--screenshot", type=click.Path(path_type=Path), metavar="PNG", help="Write a picture, open no window.")

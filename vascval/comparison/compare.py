@@ -132,9 +132,7 @@ def compare(
             tell("location", index, len(trees))
             location.append(locate(cast.tree, tree.tree, rule))
             tell("territories", index, len(trees))
-            overlap = territories(
-                cast.tree, tree.tree, generations=territory_generations, n_points=territory_points
-            )
+            overlap = territories(cast.tree, tree.tree, generations=territory_generations, n_points=territory_points)
             shared.append(overlap)
             notes += _frame_notes(cast, tree, overlap)
     else:

@@ -100,9 +100,7 @@ def junction_table(tree: Tree, generation: np.ndarray, measured: Angles) -> pd.D
     )
 
 
-def monopodial_branches(
-    tree: Tree, junctions: pd.DataFrame, measured: Angles, rule: Monopodial
-) -> np.ndarray:
+def monopodial_branches(tree: Tree, junctions: pd.DataFrame, measured: Angles, rule: Monopodial) -> np.ndarray:
     """(N,) whether each segment is a monopodial branch (see :class:`Monopodial`); never at the root point."""
     thickest = np.full(tree.n_nodes, np.nan)
     straight = np.full(tree.n_nodes, np.nan)

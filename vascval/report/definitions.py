@@ -33,8 +33,7 @@ MEASURED = (
     ("area ratio", "Summed cross-section of the children over that of the feeding segment."),
     (
         "Murray exponent",
-        "The g that solves r^g = sum of r_child^g at a junction; none where a child is as thick as its "
-        "parent.",
+        "The g that solves r^g = sum of r_child^g at a junction; none where a child is as thick as its parent.",
     ),
     (
         "branching angle",

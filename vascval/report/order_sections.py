@@ -40,11 +40,7 @@ def _order_table(subject: Subject, ordering: str, words: str) -> Table:
     body = [
         [
             Cell(str(order), "head"),
-            *(
-                Cell(form(rows[order]) if order in rows else NONE)
-                for _, form in measures
-                for rows in tables.values()
-            ),
+            *(Cell(form(rows[order]) if order in rows else NONE) for _, form in measures for rows in tables.values()),
         ]
         for order in every
     ]

@@ -40,4 +40,3 @@ def swatch(series: Series, role: str) -> Swatch:
         f'<g fill="{fill}" stroke="{series.colour}" stroke-width="1.5">{_SHAPES[series.marker]}</g></svg>'
     )
     return Swatch(Picture("", "", svg.encode()), series.label, role)
-

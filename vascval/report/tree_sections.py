@@ -143,9 +143,7 @@ _BY_GENERATION: dict[str, tuple[tuple[str, str, str | None, Format], ...]] = {
 def generations(subject: Subject) -> Section:
     paired = bool(subject.trees)
     words = "Mean ± standard deviation of the segments" + (
-        ", and the difference Δ of each tree to the cast; NAME marks what a side does not have."
-        if paired
-        else "."
+        ", and the difference Δ of each tree to the cast; NAME marks what a side does not have." if paired else "."
     )
     blocks: list[Any] = [Text(words.replace("NAME", NONE))]
     for caption, measures in _BY_GENERATION.items():
@@ -172,9 +170,7 @@ def fitting(groups: list[_Group], beside: int) -> list[list[_Group]]:
     return runs
 
 
-def _generation_group(
-    subject: Subject, column: str, label: str, sd: str | None, form: Format
-) -> _Group:
+def _generation_group(subject: Subject, column: str, label: str, sd: str | None, form: Format) -> _Group:
     """The columns of one measure, of every side and with the differences."""
     head: list[Cell] = []
     body: dict[int, list[Cell]] = {generation: [] for generation in _all_generations(subject)}
