@@ -47,10 +47,7 @@ class Score:
       branches that are none in truth.
     * ``elements_found``, ``elements_true``: elements of each Strahler order, from order 1; ``elements_equal``; the
       largest relative deviation of an order, ``elements_deviation``, and that of the sum over all orders of the
-      absolute deviations, ``elements_total_deviation``. ``elements_matched_equal``: whether they are equal when both
-      trees are cut down to the matched tips. (In a tree that halves again and again one terminal less lowers the
-      order of every vessel from there to the root.)
-    * ``missed`` (m,): the nodes of the tips that were not found, in the truth contracted.
+      absolute deviations, ``elements_total_deviation``.
     """
 
     n_tips: int
@@ -76,8 +73,6 @@ class Score:
     elements_equal: bool
     elements_deviation: float
     elements_total_deviation: float
-    elements_matched_equal: bool
-    missed: tuple[int, ...]
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -109,11 +104,6 @@ def score(
         **_segment_scores(truth, found, pairs, voxel_mm),
         **_junction_scores(truth, true_clade, found, found_clade, voxel_mm),
         **_element_scores(truth, found),
-        elements_matched_equal=np.array_equal(
-            elements_per_order(_restricted(truth, true_tip >= 0)),
-            elements_per_order(_restricted(found, found_tip >= 0)),
-        ),
-        missed=tuple(i for i in truth.topology.terminals.tolist() if true_tip[i] < 0),
     )
 
 
@@ -269,7 +259,7 @@ def _element_scores(truth: Tree, found: Tree) -> dict[str, Any]:
     }
 
 
-def _restricted(tree: Tree, kept: np.ndarray) -> Tree:
+def restricted(tree: Tree, kept: np.ndarray) -> Tree:
     """The tree without what bears none of the ``kept`` (N,) nodes; without any, its root and first vessel."""
     below = kept.copy()
     below[:2] = True
