@@ -80,7 +80,9 @@ def rounds(voxels: Voxels, nodes: Nodes, drawn: Refined, label: np.ndarray, last
     for _ in range(ROUNDS):
         stations = _stations(voxels, now, label)
         now = _improve(voxels, nodes, now, drawn, stations)
-    kernels.name_owners(label, last.astype(np.int32)[stations.branch])
+        branch = stations.branch
+        del stations  # makes room for those of the next round
+    kernels.name_owners(label, last.astype(np.int32)[branch])
     return replace(now, owner=label)
 
 
