@@ -86,6 +86,25 @@ def push(pool, head, slot, voxel, key, free):
 
 
 @njit
+def take_up(pool, later, tile, head, first, distance, shortest, free):
+    """Move what waits in a tile to the buckets of this epoch, drop what is out of date; the first bucket in use."""
+    low = head.size
+    e, later[tile] = later[tile], -1
+    while e >= 0:
+        i, key, follow = pool[e]
+        k = key - first
+        if key != int(distance[i] / shortest):
+            pool[e, 2], free[0] = free[0], e
+        elif k < head.size:
+            low = min(low, k)
+            pool[e, 2], head[k] = head[k], e
+        else:
+            pool[e, 2], later[tile] = later[tile], e
+        e = follow
+    return low
+
+
+@njit
 def geodesic(source, lattice, step, width, distance):
     """Shortest-path distance from a voxel through 26-neighbours, ``step`` (27,) being the length of each step.
 
@@ -123,21 +142,7 @@ def geodesic(source, lattice, step, width, distance):
             n_due -= 1
             tile = due[n_due]
             is_due[tile] = False
-            e, later[tile] = later[tile], -1
-            low = n_buckets
-            while e >= 0:
-                i, key, follow = pool[e]
-                if key == int(distance[i] / shortest):
-                    k = key - first
-                    if key < last:
-                        low = min(low, k)
-                        pool[e, 2], head[k] = head[k], e
-                    else:
-                        pool[e, 2], later[tile] = later[tile], e
-                else:
-                    pool[e, 2], free[0] = free[0], e
-                e = follow
-            for bucket in range(low, n_buckets):
+            for bucket in range(take_up(pool, later, tile, head, first, distance, shortest, free), n_buckets):
                 while head[bucket] >= 0:
                     e = head[bucket]
                     i, key, head[bucket] = pool[e]
