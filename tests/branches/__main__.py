@@ -77,7 +77,7 @@ ROOMS = {
     ],
     "vascval.report": [
         *(f"tests/unit/test_report_{name}.py" for name in ("page", "parts")), "tests/cli/test_cli_history.py",
-        "tests/cli/test_cli_ensemble.py", "tests/cli/test_cli_twin.py",
+        "tests/cli/test_cli_commands.py", "tests/cli/test_cli_ensemble.py", "tests/cli/test_cli_twin.py",
         "-k", OWN_PROCESS,
     ],
     "vascval.cli": [
