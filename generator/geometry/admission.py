@@ -27,8 +27,6 @@ from vascval.core.errors import ComputationError
 from vascval.core.tree import Tree
 
 _COINCIDENT_MM = 1e-9
-"""Lengths are smoothed by this where forces are judged: of two nodes in one place, as a search of topologies may leave
-them, the direction of the forces is not defined."""
 _PLANES = 20
 """Rounds of planes at the most."""
 _SWEEPS = 10
@@ -68,6 +66,14 @@ class Admission:
         return marked & problem.free
 
 
+def begun(problem: Problem, pull: np.ndarray | None = None) -> Solution:
+    """The problem where it begins, also with nodes in one place, as a search of topologies may leave them.
+
+    Lengths are smoothed by a little where forces are judged, whose direction is not defined there.
+    """
+    return evaluate(problem, eps=_COINCIDENT_MM, pull=pull)
+
+
 def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], Solution]) -> Solution:
     """The optimum of ``problem`` as far as it is admissible.
 
@@ -75,7 +81,7 @@ def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], 
     """
     if admission.always:
         return solve(problem)
-    begin = evaluate(problem, eps=_COINCIDENT_MM)
+    begin = begun(problem)
     bad = np.flatnonzero(admission.offending(problem, begin.tree))
     if bad.size:
         raise ComputationError(
@@ -142,7 +148,7 @@ def _sweep(problem: Problem, target: Solution, admission: Admission, solve: Call
         held = held | (share < 1.0)
         target = solve(replace(problem, position_mm=position, held=held, pull=target.pull, walls=None))
         steps += target.n_iterations
-    return replace(evaluate(problem.at(position), eps=_COINCIDENT_MM, pull=target.pull), n_iterations=steps)
+    return replace(begun(problem.at(position), target.pull), n_iterations=steps)
 
 
 def _retreat(problem: Problem, optimum: Solution, admission: Admission) -> np.ndarray:
@@ -150,7 +156,7 @@ def _retreat(problem: Problem, optimum: Solution, admission: Admission) -> np.nd
     share = np.ones(problem.n_nodes)
     parent, step = problem.topology.parent, optimum.position_mm - problem.position_mm
     while True:
-        tree = evaluate(problem.at(problem.position_mm + share[:, None] * step), eps=_COINCIDENT_MM).tree
+        tree = begun(problem.at(problem.position_mm + share[:, None] * step)).tree
         bad = np.flatnonzero(admission.offending(problem, tree))
         if bad.size == 0:
             return share

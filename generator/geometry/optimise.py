@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from generator.geometry.admission import Admission, admitted
+from generator.geometry.admission import Admission, admitted, begun
 from generator.geometry.full_space import solve_full
 from generator.geometry.junctions import contracted, split
 from generator.geometry.problem import Problem, Solution
-from generator.geometry.reduced import ReducedOptions, evaluate, solve_reduced
+from generator.geometry.reduced import ReducedOptions, solve_reduced
 from vascval.core.errors import ComputationError
 
 _CONTRACTIONS = 50
@@ -51,7 +51,7 @@ def optimise(
     solution = _contract(admitted(problem, admission, _solver(solver, _ROUGH_COLD)), close, admission, 2)
     for _ in range(_SPLITS if splitting else 0):
         trial = split(solution)
-        if trial is None or (not admission.always and admission.offending(trial, evaluate(trial).tree).any()):
+        if trial is None or (not admission.always and admission.offending(trial, begun(trial).tree).any()):
             break
         better = _contract(admitted(trial, admission, close), close, admission, 1)
         if not better.cost_mm3 < solution.cost_mm3 * (1.0 - _WORTH):
@@ -95,7 +95,7 @@ def _admissible_contraction(solution: Solution, admission: Admission) -> Problem
         smaller, heir = made
         if admission.always:
             return smaller
-        bad = np.flatnonzero(admission.offending(smaller, evaluate(smaller).tree))
+        bad = np.flatnonzero(admission.offending(smaller, begun(smaller).tree))
         if bad.size == 0:
             return smaller
         touched = np.zeros(smaller.n_nodes, bool)

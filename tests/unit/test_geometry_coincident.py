@@ -23,3 +23,19 @@ def test_coincident_bifurcations_are_optimised_in_a_domain_with_walls():
     assert found.tree.length_mm[1:].min() >= 0.0
     # the walls are far from the optimum, so that it is the same with and without them
     assert found.cost_mm3 == pytest.approx(free.cost_mm3, rel=1e-6)
+
+
+def test_contraction_leaves_what_stays_in_one_place():
+    parent = np.array([-1, 0, 1, 2, 3, 1, 2, 3, 4, 4])
+    position = np.array(
+        [[0, 5, 5], [3, 5, 5], [3, 5, 5], [7, 5, 5], [7.01, 5, 5],
+         [4, 9, 5], [4, 1, 5], [9, 7, 5], [9, 4, 6.7], [9, 4, 3.3]], dtype=float,
+    )  # fmt: skip
+    domain = VoxelDomain(Volume(np.ones((11, 11, 11), np.uint8), np.ones(3)))
+    held = np.isin(np.arange(10), (1, 2))
+    perfusion = Perfusion(1600.0, 1066.0, 16_000.0, 0.0036, 3.0)
+    problem = Problem(Topology(parent), position, perfusion, Physics(), held=held)
+    found = optimise(problem, solver="reduced", admission=Admission(domain), splitting=False)
+    assert found.problem.n_nodes == 9  # 3 and 4 are one, 1 and 2 still two
+    assert found.tree.length_mm[2] == 0.0
+    assert np.isfinite(found.cost_mm3)
