@@ -21,12 +21,11 @@ from generator._domain_kernels import inside_along
 from generator.domain import Domain
 from generator.geometry import _clearance_kernels as kernels
 from generator.geometry.problem import Problem, Solution
-from generator.geometry.reduced import evaluate
+from generator.geometry.reduced import COINCIDENT_MM, evaluate
 from generator.geometry.walls import walls_met
 from vascval.core.errors import ComputationError
 from vascval.core.tree import Tree
 
-_COINCIDENT_MM = 1e-9
 _PLANES = 20
 """Rounds of planes at the most."""
 _SWEEPS = 10
@@ -67,11 +66,8 @@ class Admission:
 
 
 def begun(problem: Problem, pull: np.ndarray | None = None) -> Solution:
-    """The problem where it begins, also with nodes in one place, as a search of topologies may leave them.
-
-    Lengths are smoothed by a little where forces are judged, whose direction is not defined there.
-    """
-    return evaluate(problem, eps=_COINCIDENT_MM, pull=pull)
+    """The problem where it begins, also with nodes in one place, as a search of topologies may leave them."""
+    return evaluate(problem, eps=COINCIDENT_MM, pull=pull)
 
 
 def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], Solution]) -> Solution:

@@ -9,7 +9,7 @@ import numpy as np
 
 from generator.geometry import _clearance_kernels as kernels
 from generator.geometry.problem import Problem, Solution
-from generator.geometry.reduced import Model
+from generator.geometry.reduced import COINCIDENT_MM, Model
 from vascval.core.contraction import contract_degenerate, degenerate_segments
 from vascval.core.ordering import root_first
 from vascval.core.tree import Topology, Tree
@@ -65,6 +65,7 @@ def split_gains(solution: Solution) -> list[tuple[int, tuple[int, ...], float, f
     """
     problem = solution.problem
     model = Model(problem.at(solution.position_mm).at_given_pressure())
+    model.eps = COINCIDENT_MM
     model.cost(solution.position_mm)
     model.gradient(solution.position_mm)
     parent, length = problem.topology.parent, np.maximum(model.length, 1e-300)
@@ -120,7 +121,7 @@ def split(solution: Solution) -> Problem | None:
     new_position = np.vstack((position, np.zeros((len(splits), 3))))
     for k, (v, group, _, width) in enumerate(splits):
         steps = position[list(group)] - position[v]
-        length = np.linalg.norm(steps, axis=1)
+        length = np.maximum(np.linalg.norm(steps, axis=1), 1e-300)
         pull = (solution.tree.radius_mm[list(group)] ** 2 / length) @ steps
         away = min(max(4.0 * width, 2.0 * problem.physics.l_min_mm), 0.5 * length.min())
         parent[list(group)] = n + k

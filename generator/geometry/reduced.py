@@ -25,6 +25,8 @@ from vascval.core.errors import ComputationError, InputError
 from vascval.core.tree import Tree
 from vascval.core.units import PA_S_PER_CP
 
+COINCIDENT_MM = 1e-9
+"""Smoothing of lengths by which forces are defined also at nodes in one place."""
 _SWEEPS = 100
 _ROUGH_STEPS = 12
 """At most so many before the last ``eps``: one cluster that is late must not hold up all others."""

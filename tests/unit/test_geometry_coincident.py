@@ -25,7 +25,7 @@ def test_coincident_bifurcations_are_optimised_in_a_domain_with_walls():
     assert found.cost_mm3 == pytest.approx(free.cost_mm3, rel=1e-6)
 
 
-def test_contraction_leaves_what_stays_in_one_place():
+def test_contraction_and_splitting_leave_what_stays_in_one_place():
     parent = np.array([-1, 0, 1, 2, 3, 1, 2, 3, 4, 4])
     position = np.array(
         [[0, 5, 5], [3, 5, 5], [3, 5, 5], [7, 5, 5], [7.01, 5, 5],
@@ -35,7 +35,7 @@ def test_contraction_leaves_what_stays_in_one_place():
     held = np.isin(np.arange(10), (1, 2))
     perfusion = Perfusion(1600.0, 1066.0, 16_000.0, 0.0036, 3.0)
     problem = Problem(Topology(parent), position, perfusion, Physics(), held=held)
-    found = optimise(problem, solver="reduced", admission=Admission(domain), splitting=False)
+    found = optimise(problem, solver="reduced", admission=Admission(domain))
     assert found.problem.n_nodes == 9  # 3 and 4 are one, 1 and 2 still two
     assert found.tree.length_mm[2] == 0.0
     assert np.isfinite(found.cost_mm3)
