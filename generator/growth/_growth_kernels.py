@@ -352,7 +352,6 @@ def load(store, stems, parent, position):
             r.stem = store.segment[r.parent].stem
 
 
-
 @njit
 def spread_down(store, lost):
     """All that springs below a lost segment is lost too; so is a bifurcation both of whose branches are."""
