@@ -77,6 +77,7 @@ def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], 
     """
     if admission.always:
         return solve(problem)
+    problem = _lengthened(problem)
     begin = begun(problem)
     bad = np.flatnonzero(admission.offending(problem, begin.tree))
     if bad.size:
@@ -100,6 +101,23 @@ def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], 
         if gain < _WORTH:
             break
     return replace(best, problem=problem, n_iterations=steps)
+
+
+def _lengthened(problem: Problem) -> Problem:
+    """The problem begun with stems as long as the bound: their nodes go towards the farthest that springs from them.
+
+    A search of topologies may put a bifurcation where the root tree ends; nodes that go back to where they began would
+    leave it there.
+    """
+    position, limit = problem.position_mm.copy(), problem.physics.l_min_mm
+    for stem in problem.stems[problem.lengths(position)[problem.stems] < limit]:
+        branches = problem.topology.children(int(stem))
+        if branches.size and problem.moves[stem]:
+            root = position[problem.topology.parent[stem]]
+            away = np.linalg.norm(position[branches] - root, axis=1)
+            part = min(0.5, 1.001 * limit / away.max())
+            position[stem] = root + part * (position[branches[away.argmax()]] - root)
+    return problem.at(position)
 
 
 def _within_walls(problem: Problem, *, admission: Admission, solve: Callable[[Problem], Solution]) -> Solution:

@@ -39,3 +39,14 @@ def test_contraction_and_splitting_leave_what_stays_in_one_place():
     assert found.problem.n_nodes == 9  # 3 and 4 are one, 1 and 2 still two
     assert found.tree.length_mm[2] == 0.0
     assert np.isfinite(found.cost_mm3)
+
+
+def test_a_bifurcation_where_the_root_tree_ends_leaves_it():
+    parent = np.array([-1, 0, 1, 1, 2, 2])
+    position = np.array([[5, 5, 0.5], [5, 5, 0.5], [5, 7, 4], [8, 3, 8], [2, 9, 8], [9, 9, 8]], dtype=float)
+    mask = np.ones((11, 11, 11), np.uint8)
+    mask[6:, :, :2] = mask[:, 6:, :2] = 0  # walls in the way of the optimum
+    perfusion = Perfusion(1600.0, 1066.0, 16_000.0, 0.0036, 3.0)
+    problem = Problem(Topology(parent), position, perfusion, Physics(l_min_mm=0.2))
+    found = optimise(problem, solver="reduced", admission=Admission(VoxelDomain(Volume(mask, np.ones(3)))))
+    assert found.tree.length_mm[1:].min() > 0.1
