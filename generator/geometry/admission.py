@@ -77,7 +77,9 @@ def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], 
     """
     if admission.always:
         return solve(problem)
-    problem = _lengthened(problem)
+    longer = _lengthened(problem)
+    if not admission.offending(longer, begun(longer).tree).any():
+        problem = longer
     begin = begun(problem)
     bad = np.flatnonzero(admission.offending(problem, begin.tree))
     if bad.size:
