@@ -128,6 +128,7 @@ def main() -> int:
         limited = [*run, "-p", "tests.branches.time_limit", *tests]
         failed = subprocess.run(limited, cwd=ROOT, env=environment, check=False).returncode
         report = given.json or Path(folder, "report.json")
+        subprocess.run([*python, "coverage", "combine", "-q"], cwd=ROOT, env=environment, check=True)
         subprocess.run([*python, "coverage", "json", "-q", "-o", str(report)], cwd=ROOT, env=environment, check=True)
         files: Files = {name: file["summary"] for name, file in json.loads(report.read_text())["files"].items()}
     rooms: dict[str, Files] = defaultdict(dict)
