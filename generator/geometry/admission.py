@@ -106,13 +106,13 @@ def admitted(problem: Problem, admission: Admission, solve: Callable[[Problem], 
 
 
 def _lengthened(problem: Problem) -> Problem:
-    """The problem begun with stems as long as the bound: their nodes go towards the farthest that springs from them.
+    """The problem begun with stems of half the bound at least: other nodes go towards their farthest branch.
 
     A search of topologies may put a bifurcation where the root tree ends; nodes that go back to where they began would
     leave it there.
     """
     position, limit = problem.position_mm.copy(), problem.physics.l_min_mm
-    for stem in problem.stems[problem.lengths(position)[problem.stems] < limit]:
+    for stem in problem.stems[problem.lengths(position)[problem.stems] < 0.5 * limit]:
         branches = problem.topology.children(int(stem))
         if branches.size and problem.moves[stem]:
             root = position[problem.topology.parent[stem]]
