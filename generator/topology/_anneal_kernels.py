@@ -92,6 +92,8 @@ def pick_nearby(near, rng, x, y, z):
     cj = min(max(int((y - near.lower[1]) / near.cell), 0), near.shape[1] - 1)
     k0 = int((z - near.lower[2]) / near.cell)
     k0, k1 = max(k0 - 1, 0), min(k0 + 1, near.shape[2] - 1)
+    if k0 > k1:  # the point lies above or below the grid
+        return -1
     count = 0
     for i in range(max(ci - 1, 0), min(ci + 2, near.shape[0])):
         for j in range(max(cj - 1, 0), min(cj + 2, near.shape[1])):
