@@ -273,3 +273,12 @@ def test_a_single_branch_is_refused():
     position = np.array([[0, 0, 0], [5, 0, 0], [9, 1, 0]], dtype=float)
     with pytest.raises(InputError, match=r"1 nodes have a single branch \(first: node 1\)"):
         SearchTree(np.array([-1, 0, 1], np.int32), position, RootTree.point(position[0]), LAW)
+
+
+@pytest.mark.parametrize("z", [-50.0, 50.0])
+def test_a_point_above_or_below_the_grid_has_no_neighbours(z):
+    size = 4
+    start = np.zeros(size**3 + 1 + 100, np.int64)  # what lies beyond the cells is read as a great number of neighbours
+    start[size**3 + 1 :] = -1000
+    near = kernels.Nearby(np.zeros(3), 1.0, np.full(3, size), start, np.zeros(1, np.int32))
+    assert kernels.pick_nearby(near, np.random.default_rng(1), 3.5, 3.5, z) == -1
