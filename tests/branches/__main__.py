@@ -27,8 +27,8 @@ ROOMS = {
     ],
     "vascval.io": [
         *(f"tests/unit/test_io_{name}.py" for name in (
-            "arrays", "files", "foreign_trees", "fuzz_findings", "header_refusals", "locks", "scans", "tree_refusals",
-            "volume_refusals", "volumes", "vtp_variants",
+            "arrays", "files", "foreign_trees", "fuzz_findings", "header_refusals", "locks", "packed_files", "scans",
+            "tree_refusals", "volume_refusals", "volumes", "vtp_variants",
         )),
         "tests/unit/test_schemas.py", "tests/property/test_io_round_trips.py",
     ],

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-import gzip
 import json
-import struct
-import tracemalloc
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-import SimpleITK as sitk
 import zarr
+from scan_files import (
+    PLACED,
+    SPACING,
+    WRITERS,
+    ome,
+    refused,
+    sample,
+    write_hdf5,
+    write_nrrd,
+    write_ome,
+    write_zarr,
+)
 
 from tests.benchmarks.phantoms import phantom
 from vascval.core.errors import InputError
@@ -20,115 +28,6 @@ from vascval.imaging import memory, skeletonize
 from vascval.imaging.memory import budget
 from vascval.io.scans import Scan, open_scan
 from vascval.io.volumes import Volume, read_volume
-
-SPACING = (0.5, 0.25, 2.0)
-
-
-def sample(dtype: str = "uint8") -> np.ndarray:
-    """(9, 14, 11) values, all different where the type has room."""
-    return (np.arange(9 * 14 * 11).reshape(9, 14, 11) * 7 % 251).astype(dtype)
-
-
-def ome(unit: str | None = "micrometer", axes: str = "zyx") -> dict:
-    """OME metadata of an image in two resolutions, its voxels SPACING mm, the first at 1, 2, 3 mm."""
-    per = {"micrometer": 1000.0, "millimeter": 1.0, None: 1.0}[unit]
-    ones = [1.0] * (len(axes) - 3)
-    steps = [
-        {"type": "scale", "scale": ones + [s * per for s in SPACING[::-1]]},
-        {"type": "translation", "translation": [0.0] * len(ones) + [3.0 * per, 2.0 * per, 1.0 * per]},
-    ]
-    named = [{"name": a, **({} if unit is None else {"unit": unit})} for a in axes]
-    sets = [{"path": "0", "coordinateTransformations": steps}, {"path": "1", "coordinateTransformations": steps}]
-    return {"version": "0.4", "axes": named, "datasets": sets}
-
-
-def write_zarr(
-    path: Path, values: np.ndarray, *, version: int = 2, chunks: tuple[int, ...] = (4, 5, 6), **more
-) -> None:
-    array = zarr.create_array(
-        str(path), shape=values.shape, chunks=chunks, dtype=values.dtype, zarr_format=version, **more
-    )
-    array[...] = values
-
-
-def write_ome(path: Path, values: np.ndarray, *, version: int = 2, unit: str | None = "micrometer") -> None:
-    group = zarr.open_group(str(path), mode="w", zarr_format=version)
-    for name in "01":
-        array = group.create_array(name, shape=(1, *values.shape), chunks=(1, 4, 5, 6), dtype=values.dtype)
-        array[...] = values[None]
-    image = ome(unit, "czyx")
-    group.attrs.update(
-        {"multiscales": [image]} if version == 2 else {"ome": {"version": "0.5", "multiscales": [image]}}
-    )
-
-
-def write_nrrd(path: Path, values: np.ndarray, *, big: bool = False, packed: bool = False) -> None:
-    names = {"u1": "uchar", "i2": "short", "u2": "uint16", "f4": "float", "f8": "double", "i4": "int"}
-    axes = " ".join(str(tuple(float(v) for v in row)).replace(" ", "") for row in np.diag(SPACING))
-    head = [
-        "NRRD0004",
-        f"type: {names[values.dtype.str[1:]]}",
-        "dimension: 3",
-        "space: left-posterior-superior",
-        f"sizes: {' '.join(map(str, values.shape[::-1]))}",
-        f"space directions: {axes}",
-        "kinds: domain domain domain",
-        f"endian: {'big' if big else 'little'}",
-        f"encoding: {'gzip' if packed else 'raw'}",
-        "space origin: (1,2,3)",
-    ]
-    data = values.astype(values.dtype.newbyteorder(">" if big else "<")).tobytes()
-    if path.suffix == ".nrrd":
-        path.write_bytes(("\n".join(head) + "\n\n").encode() + (gzip.compress(data) if packed else data))
-        return
-    half = len(data) // values.shape[0] * (values.shape[0] // 3)
-    for k in range(3):
-        part = data[k * half : (k + 1) * half]
-        (path.parent / f"part{k}.raw").write_bytes(gzip.compress(part) if packed else part)
-    path.write_text("\n".join([*head, "data file: part%d.raw 0 2 1 3"]) + "\n")
-
-
-def write_image(path: Path, values: np.ndarray, *, packed: bool = False) -> None:
-    image = sitk.GetImageFromArray(values)
-    image.SetSpacing(SPACING)
-    image.SetOrigin((1.0, 2.0, 3.0))
-    sitk.WriteImage(image, str(path), useCompression=packed)
-
-
-def write_slices(path: Path, values: np.ndarray) -> None:
-    path.mkdir()
-    for k, plane in enumerate(values):
-        sitk.WriteImage(sitk.GetImageFromArray(plane), str(path / f"slice{k + 8}.tif"), useCompression=False)
-
-
-def write_hdf5(path: Path, values: np.ndarray, *, chunks: tuple[int, ...] | None = (4, 5, 6)) -> None:
-    with h5py.File(path, "w") as file:
-        array = file.create_dataset("volume/cast", data=values, chunks=chunks, compression="gzip" if chunks else None)
-        array.attrs["element_size_um"] = np.array(SPACING[::-1]) * 1000.0
-        file["notes"] = np.zeros(3)
-
-
-WRITERS = {
-    "a.nrrd": write_nrrd,
-    "big.nrrd": lambda path, values: write_nrrd(path, values, big=True),
-    "a.nhdr": write_nrrd,
-    "gz.nrrd": lambda path, values: write_nrrd(path, values, packed=True),
-    "gz.nhdr": lambda path, values: write_nrrd(path, values, big=True, packed=True),
-    "a.nii": write_image,
-    "a.nii.gz": lambda path, values: write_image(path, values, packed=True),
-    "a.mha": write_image,
-    "a.mhd": write_image,
-    "a.tif": write_image,
-    "slices": write_slices,
-    "a.zarr": write_zarr,
-    "v3.zarr": lambda path, values: write_zarr(path, values, version=3),
-    "sharded.zarr": lambda path, values: write_zarr(path, values, version=3, chunks=(2, 5, 6), shards=(4, 10, 12)),
-    "ome.zarr": write_ome,
-    "ome3.zarr": lambda path, values: write_ome(path, values, version=3),
-    "a.h5": write_hdf5,
-    "flat.hdf5": lambda path, values: write_hdf5(path, values, chunks=None),
-}
-PLACED = [name for name in WRITERS if name not in ("a.tif", "slices", "a.zarr", "v3.zarr", "sharded.zarr")]
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "uint16", "float32"])
@@ -237,16 +136,6 @@ def test_a_crowded_volume_is_refused_while_it_is_read() -> None:
     assert max(asked) < 100
 
 
-def refused(path: Path, message: str, **options) -> None:
-    with pytest.raises(InputError, match=message) as caught:
-        scan = open_scan(path, **options)
-        assert isinstance(scan, Scan)
-        scan.load()
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
-    assert "; " in str(caught.value)
-
-
 def edit(file: Path, **entries) -> None:
     file.write_text(json.dumps({**json.loads(file.read_text()), **entries}))
 
@@ -348,81 +237,3 @@ def test_a_file_that_shrinks_while_it_is_read_is_refused(tmp_path: Path) -> None
     (tmp_path / "a.nrrd").write_bytes(data[:-20])
     with pytest.raises(InputError, match="ends within slice 8; it is truncated"):
         scan.load()
-
-
-@pytest.mark.parametrize("name", ["gz.nrrd", "gz.nhdr", "a.nii.gz"])
-def test_packed_files_are_read_in_slices_without_holding_the_rest(name: str, tmp_path: Path) -> None:
-    values = np.random.default_rng(0).integers(0, 255, (81, 512, 1024)).astype(np.uint8)
-    WRITERS[name](tmp_path / name, values)
-    scan = open_scan(tmp_path / name)
-    tracemalloc.start()
-    last = 0
-    for z, y, block in scan.blocks():
-        assert y == 0
-        assert np.array_equal(block, values[z : z + len(block)])
-        last = z + len(block)
-    assert last == len(values)
-    assert tracemalloc.get_traced_memory()[1] < values.nbytes / 2
-    tracemalloc.stop()
-
-
-@pytest.mark.parametrize("name", ["gz.nrrd", "gz.nhdr", "a.nii.gz"])
-def test_damaged_packed_files_are_refused(name: str, tmp_path: Path) -> None:
-    WRITERS[name](tmp_path / name, sample())
-    file = tmp_path / ("part2.raw" if name.endswith("nhdr") else name)
-    data = file.read_bytes()
-    checksum = len(data) - 8
-    wrong = data[:checksum] + bytes([data[checksum] ^ 1]) + data[checksum + 1 :]
-    for damaged in (data[:-100], data[:-4], wrong):
-        file.write_bytes(damaged)
-        with pytest.raises(InputError, match="truncated or damaged, get it again"):
-            open_scan(tmp_path / name).load()
-    file.write_bytes(data[:checksum] + data[checksum:] * 2)
-    with pytest.raises(InputError, match="truncated or damaged, get it again"):
-        open_scan(tmp_path / name).load()
-
-
-@pytest.mark.parametrize(("place", "value"), [(112, 2.0), (80, -0.5), (108, 0.0), (108, 288.0)])
-def test_nifti_with_a_scale_or_oddities_is_left_to_the_library(place: int, value: float, tmp_path: Path) -> None:
-    """Slope, spacing, and beginning of the values."""
-    write_image(tmp_path / "a.nii", sample("int16"))
-    data = bytearray((tmp_path / "a.nii").read_bytes())
-    struct.pack_into("<f", data, place, value)
-    (tmp_path / "a.nii").write_bytes(data)
-    volume = open_scan(tmp_path / "a.nii")
-    assert isinstance(volume, Volume)
-    if place != 108:
-        assert np.array_equal(volume.values, sample("int16") * (2 if place == 112 else 1))
-
-
-def test_values_of_a_nifti_are_those_of_its_own_file(tmp_path: Path) -> None:
-    """The library takes those of ``a.nii``, wherever it lies beside ``a.nii.gz``."""
-    write_image(tmp_path / "a.nii", sample("int16"))
-    write_image(tmp_path / "a.nii.gz", sample("int16")[::-1], packed=True)
-    assert np.array_equal(read_volume(tmp_path / "a.nii.gz").values, sample("int16")[::-1])
-    assert np.array_equal(read_volume(tmp_path / "a.nii").values, sample("int16"))
-    data = bytearray(gzip.decompress((tmp_path / "a.nii.gz").read_bytes()))
-    struct.pack_into("<f", data, 112, 2.0)
-    (tmp_path / "a.nii.gz").write_bytes(gzip.compress(data))
-    with pytest.raises(InputError, match=r"lies beside a\.nii, whose values would be taken"):
-        read_volume(tmp_path / "a.nii.gz")
-    (tmp_path / "a.nii").unlink()
-    assert np.array_equal(read_volume(tmp_path / "a.nii.gz").values, 2 * sample("int16")[::-1])
-
-
-@pytest.mark.parametrize("sizes", ["4294967296 4294967296 2", "3 3 9223372036854775807", "65536 65536 65536"])
-def test_packed_files_that_claim_too_much_are_refused_before_anything_is_allocated(sizes: str, tmp_path: Path) -> None:
-    write_nrrd(tmp_path / "a.nrrd", sample(), packed=True)
-    data = (tmp_path / "a.nrrd").read_bytes().replace(b"sizes: 11 14 9", b"sizes: " + sizes.encode())
-    (tmp_path / "a.nrrd").write_bytes(data)
-    refused(tmp_path / "a.nrrd", "allow more")
-
-
-def test_nifti_of_another_name_than_content_is_refused(tmp_path: Path) -> None:
-    write_image(tmp_path / "a.nii", sample())
-    write_image(tmp_path / "b.nii.gz", sample(), packed=True)
-    (tmp_path / "a.nii").rename(tmp_path / "a.nii.gz")
-    (tmp_path / "b.nii.gz").rename(tmp_path / "b.nii")
-    for name in ("a.nii.gz", "b.nii"):
-        with pytest.raises(InputError, match="truncated"):
-            open_scan(tmp_path / name)
