@@ -41,6 +41,7 @@ def outcome(case, disk):
         subprocess.run(["umount", "-l", str(disk)], check=True)
 
 
-disk = Path(sys.argv[1]) / "disk"
-disk.mkdir()
-json.dump([outcome(case, disk) for case in json.load(sys.stdin)], sys.stdout)
+if __name__ == "__main__":  # workers of an ensemble import this module
+    disk = Path(sys.argv[1]) / "disk"
+    disk.mkdir()
+    json.dump([outcome(case, disk) for case in json.load(sys.stdin)], sys.stdout)

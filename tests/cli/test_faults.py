@@ -26,7 +26,13 @@ def _commands(cast_file, tree_file):
         "skeletonize": (["skeletonize", str(cast_file)], "file"),
         "analyze": (["analyze", str(tree_file)], "folder"),
         "compare": (["compare", str(cast_file), str(tree_file)], "folder"),
+        "twin": (["twin", str(cast_file), "--set", "topology.tests=200", "--set", "topology.chains=1"], "folder"),
+        "optimum": (["optimum", "karch-box", "--set", "n_terminals=4"], "file"),
+        "demo": (["demo"], "folder"),
     }
+
+
+ENSEMBLE = ["ensemble", "karch-box", "--seeds", "2", "--set", "n_terminals=20", "--workers", "1"]
 
 
 def place(folder, kind):
@@ -74,6 +80,22 @@ def test_full_and_read_only_disks(tmp_path, commands):
         assert reason in found["err"], name
 
 
+def test_an_ensemble_on_a_full_disk_keeps_the_trees_that_are_whole(tmp_path):
+    sizes_kb, out = (64, 300), tmp_path / "disk" / "out"  # room for one tree, for both but no report
+    arguments = [*ENSEMBLE, "-o", str(out), "--quiet"]
+    cases = [
+        {"size_kb": size_kb, "read_only": False, "old": OLD["folder"], "arguments": arguments} for size_kb in sizes_kb
+    ]
+    for found, n_trees in zip(on_small_disk(tmp_path, cases), (1, 2)):
+        assert found["code"] == 2
+        assert "cannot be written (No space left on device)" in found["err"]
+        assert found["err"].count("\n") == 1
+        files = found["files"]
+        trees = {f"out/trees/seed-{seed}.{suffix}" for seed in range(1, n_trees + 1) for suffix in ("json", "vtp")}
+        assert set(files) == {*OLD["folder"], "out/log", "out/manifest.json", *trees}
+        assert {name: files[name] for name in OLD["folder"]} == OLD["folder"]
+
+
 def test_a_checkpoint_that_finds_no_room_does_not_end_the_run(tmp_path):
     kept, output = tmp_path / "disk" / "c", tmp_path / "tree.vtp"
     arguments = ["generate", "karch-box", "--set", "n_terminals=300", "-o", str(output), "--checkpoint", str(kept)]
@@ -86,9 +108,9 @@ def test_a_checkpoint_that_finds_no_room_does_not_end_the_run(tmp_path):
     assert read_tree(output).topology.n_terminals == 300
 
 
-@pytest.mark.parametrize("name", ["generate", "skeletonize", "analyze", "compare"])
+@pytest.mark.parametrize("name", ["generate", "skeletonize", "analyze", "compare", "twin", "optimum", "ensemble"])
 def test_two_runs_on_one_output(tmp_path, commands, name, capsys):
-    arguments, kind = commands[name]
+    arguments, kind = {**commands, "ensemble": (ENSEMBLE, "folder")}[name]
     folder = tmp_path / "results"
     filled(folder, OLD[kind])
     output = place(folder, kind)
@@ -97,8 +119,9 @@ def test_two_runs_on_one_output(tmp_path, commands, name, capsys):
         error = capsys.readouterr().err
         assert f"{output}: is being written by another run; wait for its end or choose another name" in error
     assert contents(folder) == OLD[kind]
-    assert main([*arguments, "-o", str(output), "--quiet"]) == 0
-    assert not list(folder.glob(".*"))
+    if name in ("generate", "analyze"):  # a file, a folder: free again
+        assert main([*arguments, "-o", str(output), "--quiet"]) == 0
+        assert not list(folder.glob(".*"))
 
 
 def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path, commands):
@@ -118,7 +141,7 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path, commands):
     assert not (tmp_path / ".out.vtp.lock").exists()
 
 
-@pytest.mark.parametrize("name", ["skeletonize", "analyze", "compare"])
+@pytest.mark.parametrize("name", ["skeletonize", "analyze", "compare", "twin"])
 def test_an_input_that_vanishes_in_the_middle(tmp_path, commands, name, monkeypatch, capsys):
     """After all was checked and its checksum taken."""
     import vascval.io.provenance
