@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 
 from vascval import __version__
 from vascval.cli import console
+from vascval.cli.interruption import held_back
 from vascval.cli.main import cli, main
 from vascval.cli.options import Memory, Numbers, Threshold
 from vascval.core.errors import ComputationError, InputError
@@ -252,3 +254,52 @@ def test_signals(number, code, tmp_path):
     assert process.returncode == code
     assert err == "vascval: interrupted; no unfinished file is left behind\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_within_another_program(monkeypatch, capsys):
+    """On a thread, where no handler can be set, and beside handlers of its own, which stay."""
+    codes: list[int] = []
+    worker = threading.Thread(target=lambda: codes.append(main(["schema"])))
+    worker.start()
+    worker.join()
+    assert codes == [0]
+
+    def own(*_):
+        raise AssertionError("nobody sent a signal")
+
+    before = signal.signal(signal.SIGTERM, own)
+    try:
+        assert main(["schema"]) == 0
+        assert signal.getsignal(signal.SIGTERM) is own
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_signals_that_are_ignored_stay_ignored():
+    """As ``nohup`` asks for; the others wait for the step."""
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        with held_back(unless=lambda: False) as held:
+            os.kill(os.getpid(), signal.SIGTERM)
+            held.release()
+            assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+            os.kill(os.getpid(), signal.SIGINT)
+            with pytest.raises(KeyboardInterrupt):
+                held.release()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_runs_on_a_thread_leave_signals_alone():
+    before = signal.getsignal(signal.SIGINT)
+    seen: list[object] = []
+
+    def run():
+        with held_back(unless=lambda: False) as held:
+            seen.append(signal.getsignal(signal.SIGINT))
+            held.release()
+
+    worker = threading.Thread(target=run)
+    worker.start()
+    worker.join()
+    assert seen == [before]

@@ -1,6 +1,7 @@
 """A run that is kept and gone on with ends in the same tree; a checkpoint that is not this run's is refused."""
 
 import hashlib
+import shutil
 
 import numpy as np
 import pytest
@@ -299,3 +300,21 @@ def test_a_geometry_that_is_interrupted_is_gone_on_with(tmp_path, monkeypatch):
         again = [*command, "-o", str(tmp_path / "tree.vtp"), "--resume", str(tmp_path / "tree.vtp.checkpoint")]
         assert main(again) == 0
         assert (tmp_path / "tree.vtp").read_bytes() == (tmp_path / "whole.vtp").read_bytes()
+
+
+def test_a_tree_that_cannot_be_written_is_not_lost(tmp_path, monkeypatch, capsys):
+    """The folder goes away while the tree grows: its checkpoint, in another place, holds all of it."""
+    command = ["generate", "karch-box", "--set", "n_terminals=300", "--quiet"]
+    assert main([*command, "-o", str(tmp_path / "whole.vtp")]) == 0
+    folder, kept = tmp_path / "results", tmp_path / "kept"
+    folder.mkdir()
+    interrupted_at(monkeypatch, 300, lambda: shutil.rmtree(folder))
+    assert main([*command, "-o", str(folder / "tree.vtp"), "--checkpoint", str(kept)]) == 2
+    assert f"{folder / 'tree.vtp'}: folder {folder} does not exist" in capsys.readouterr().err
+    folder.mkdir()
+    there: list[int] = []
+    monkeypatch.setattr(Growth, "_advance", lambda growth, _target: there.append(growth.n_grown))
+    assert main([*command, "-o", str(folder / "tree.vtp"), "--resume", str(kept)]) == 0
+    assert (folder / "tree.vtp").read_bytes() == (tmp_path / "whole.vtp").read_bytes()
+    assert set(there) <= {300}  # nothing is grown again
+    assert not kept.exists()
