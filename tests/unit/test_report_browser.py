@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vascval.cli.main import main
 from vascval.comparison import compare
 from vascval.core.tree import Topology, Tree
 from vascval.io.trees import read_tree, write_vtp
@@ -177,3 +178,37 @@ def test_from_files_to_the_page(chromium: str, tmp_path: Path) -> None:
     assert "data-attacked" not in Tags(dom).tags[0][1]
     assert not log
     assert not [a for tag, a in Tags(dom).tags if tag == "img" and (a.get("src") or "").startswith("x")]
+
+
+NAMES = (f'<img src=x onerror="{ATTACK}">', f'"><svg onload="{ATTACK}">&\' {{{{7*191}}}}')
+"""Of files: what fits into a name."""
+
+
+@pytest.mark.parametrize("command", ["analyze", "compare", "twin", "ensemble"])
+def test_hostile_file_names_through_the_commands(chromium: str, tmp_path: Path, command: str) -> None:
+    folder = tmp_path / NAMES[0]
+    folder.mkdir()
+    files = [folder / f"{name}{suffix}" for name, suffix in zip(NAMES, (".vtp", ".vtp"))]
+    for file in files:
+        write_vtp(hostile_tree(), file)
+    blocks = [folder / f"{name}.nrrd" for name in NAMES]
+    for size, file in zip((20, 24), blocks):
+        write_volume(Volume(np.ones((size, size, size), np.uint8), np.ones(3), meta={ALL: ALL}), file)
+    arguments = {
+        "analyze": files[:1],
+        "compare": files,
+        "twin": [*files[:1], "--set", "topology.tests=200", "--set", "topology.chains=1"],
+        "ensemble": ["karch-box", "--seeds", "2", "--workers", "1", "--set", "n_terminals=12", "--set", "root_mm=1,1,1",
+                     "--vary", f"domain.file={blocks[0]};{blocks[1]}"],
+    }[command]  # fmt: skip
+    output = tmp_path / "out"
+    assert main([command, *map(str, arguments), "-o", str(output), "--quiet"]) == 0
+    page = (output / "report.html").read_text("utf-8")
+    assert "&lt;img src=x onerror=" in page  # the names are there
+    dom, log = opened(chromium, output / "report.html", tmp_path / "profile")
+    assert not log
+    found = Tags(dom)
+    assert "data-attacked" not in found.tags[0][1]
+    for tag, attributes in found.tags:
+        assert not [a for a in attributes if a.startswith("on")], (tag, attributes)
+        assert (attributes.get("src") or "data:image/").startswith("data:image/")
