@@ -39,6 +39,10 @@ def nullable(model, name):
     return type(None) in getattr(model.model_fields[name].annotation, "__args__", ())
 
 
+def text_of(page):
+    return re.sub(r"<(script|style)\b.*?</\1>|<[^>]*>", " ", page.read_text(), flags=re.DOTALL)
+
+
 @pytest.mark.parametrize("kind", ["one segment", "one fork", "back to its start", "thin below thick"])
 def test_analyze(tmp_path, kind, capsys):
     write_vtp(tree(kind), tmp_path / "tree.vtp")
@@ -58,19 +62,43 @@ def test_analyze(tmp_path, kind, capsys):
                     assert nullable(model, name) or name == "murray_reason", (path.name, name)
                     empty += 1
     assert empty > 0
-    page = (tmp_path / "out" / "report.html").read_text()
-    text = re.sub(r"<(script|style)\b.*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL)
-    assert not NO_NUMBER.search(text)
+    assert not NO_NUMBER.search(text_of(tmp_path / "out" / "report.html"))
 
 
-def test_compare(tmp_path):
+def nothing_unmarked(folder, capsys):
+    """In the tables, documents and page of a report, and in what was printed."""
+    assert not NO_NUMBER.search(capsys.readouterr().out)
+    tables = sorted((folder / "tables").glob("*.csv"))
+    assert tables
+    for path in tables:
+        assert not NO_NUMBER.search(path.read_text()), path.name
+    for path in folder.rglob("*.json"):
+        json.loads(path.read_text(), parse_constant=pytest.fail)
+    assert not NO_NUMBER.search(text_of(folder / "report.html"))
+
+
+def test_compare(tmp_path, capsys):
     for name in ("one segment", "one fork"):
         write_vtp(tree(name), tmp_path / f"{name}.vtp")
     files = [str(tmp_path / f"{name}.vtp") for name in ("one fork", "one segment")]
     assert main(["compare", *files, "-o", str(tmp_path / "out"), "--quiet"]) == 0
-    for path in (tmp_path / "out" / "tables").glob("*.csv"):
-        assert not NO_NUMBER.search(path.read_text()), path.name
-    json.loads((tmp_path / "out" / "report.json").read_text(), parse_constant=pytest.fail)
+    nothing_unmarked(tmp_path / "out", capsys)
+
+
+def test_twin(tmp_path, tree_file, capsys):
+    """Of four terminals, with a root tree of one vessel."""
+    quick = ["--set", "topology.tests=100", "--set", "topology.chains=1"]
+    assert (
+        main(["twin", str(tree_file), "--root-generations", "1", *quick, "-o", str(tmp_path / "out"), "--quiet"]) == 0
+    )
+    nothing_unmarked(tmp_path / "out", capsys)
+
+
+def test_ensemble(tmp_path, capsys):
+    """Of one tree of two terminals, where nothing spreads."""
+    small = ["--set", "n_terminals=2", "--workers", "1"]
+    assert main(["ensemble", "karch-box", "--seeds", "1", *small, "-o", str(tmp_path / "out"), "--quiet"]) == 0
+    nothing_unmarked(tmp_path / "out", capsys)
 
 
 def test_an_infinite_value_is_refused_and_a_missing_one_is_an_empty_field(tmp_path):
