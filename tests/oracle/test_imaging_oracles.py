@@ -17,6 +17,7 @@ from skimage.measure import euler_number
 from vascval.imaging import _geodesic_kernels, _graph_kernels, _thinning_kernels, graph, runs, voxels
 from vascval.imaging.distance import distance_map
 from vascval.imaging.thinning import thin
+from vascval.imaging.tips import maxima
 
 EVERY_NEIGHBOUR = np.ones((3, 3, 3))
 SPACING = np.array([0.5, 0.7, 1.6])
@@ -234,14 +235,33 @@ def test_many_loops_take_time_in_proportion() -> None:
     assert ladder_s(128_000) < 4 * 32 * ladder_s(4_000)  # quadratic: 1,024 times
 
 
-@settings(deadline=None, max_examples=60)
-@given(st.integers(0, 10**6), st.integers(1, 2000), st.integers(1, 50), st.booleans())
-def test_descending_order_is_that_of_a_stable_sort(seed: int, n: int, different: int, split: bool) -> None:
+@settings(deadline=None, max_examples=100)
+@given(masks, st.integers(0, 10**6), st.integers(1, 60))
+def test_maxima_are_those_of_a_sweep_from_high_to_low(mask: np.ndarray, seed: int, different: int) -> None:
+    """Every voxel in turn joins the parts that it touches, and the one with the lower peak ends there."""
+    listed = voxels.from_runs(as_runs(mask), SPACING)
     rng = np.random.default_rng(seed)
-    height = rng.choice(rng.normal(size=different) * 100, n)
-    if split:
-        height[rng.random(n) < 0.1] = np.inf
-    assert np.array_equal(_geodesic_kernels.descending(height), np.argsort(-height, kind="stable"))
+    height, value = rng.choice(rng.normal(size=different), listed.n), rng.normal(size=listed.n)
+    rank = np.argsort(np.argsort(-height, kind="stable"))
+    at = listed.index_xyz()
+    parts: list[list[int]] = []
+    expected = set()
+    for i in np.argsort(-height, kind="stable").tolist():
+        touched = [part for part in parts if np.abs(at[part] - at[i]).max(axis=1).min() == 1]
+        # parts meet in the order of their first voxels around i, which decides whose the value of i itself is
+        touched.sort(key=lambda part: min(j for j in part if np.abs(at[j] - at[i]).max() == 1))
+        mine = [i]
+        for other in touched:
+            parts.remove(other)
+            kept, ended = sorted((mine, other), key=lambda part: rank[part].min())
+            if ended != [i]:
+                expected.add((ended[0], i, value[ended].max()))
+            mine = kept + ended
+        parts.append(mine)
+    expected |= {(part[0], -1, value[part].max()) for part in parts}
+    found = maxima(listed, height, value)
+    assert len(expected) == found[0].size
+    assert set(zip(*(values.tolist() for values in found))) == expected
 
 
 @settings(deadline=None, max_examples=30)
@@ -273,9 +293,7 @@ def test_persistence_of_maxima_by_hand() -> None:
     mask[1, 2:9, 15] = True  # a side branch of 6
     listed = voxels.from_runs(as_runs(mask), np.ones(3))
     way = listed.index_xyz()[:, :2].sum(axis=1).astype(np.float64)
-    order = np.argsort(-way, kind="stable").astype(np.int32)
-    scratch = np.full(listed.n, -1, dtype=np.int32), np.empty(listed.n, dtype=np.int32)
-    tip, saddle, _ = _geodesic_kernels.maxima(order, way, np.ones(listed.n), listed.lattice, *scratch)
+    tip, saddle, _ = maxima(listed, way, np.ones(listed.n))
     found = {tuple(listed.index_xyz(t)): (way[t] - way[s] if s >= 0 else np.inf) for t, s in zip(tip, saddle)}
     assert set(found) == {(27, 2, 1), (15, 8, 1)}
     assert found[27, 2, 1] == np.inf

@@ -1,9 +1,8 @@
-"""Compiled walks over the foreground voxels: neighbours, geodesic distance, persistence of its maxima."""
+"""Compiled walks over the foreground voxels: neighbours, geodesic distance, the nearest of them."""
 
 import numpy as np
 
 from vascval.core.jit import njit
-from vascval.imaging._run_kernels import find
 
 
 @njit
@@ -167,96 +166,3 @@ def geodesic(source, lattice, step, width, distance):
                             due[n_due], is_due[there] = there, True
                             n_due += 1
         first = last
-
-
-@njit
-def bin_of(height, top, scale, n_bins):
-    return 0 if height >= top else min(n_bins - 1, int((top - height) * scale))
-
-
-@njit
-def descending(height):
-    """(n,) int32, the order from high to low, the smaller number first among equals: sorted in bins of height."""
-    n = height.size
-    n_bins = n // 16 + 1
-    top, low = -np.inf, np.inf
-    for h in height:
-        if h < np.inf:
-            top, low = max(top, h), min(low, h)
-    scale = n_bins / (top - low) if top > low else 0.0
-    end = np.zeros(n_bins, np.int64)
-    for h in height:
-        end[bin_of(h, top, scale, n_bins)] += 1
-    for k in range(1, n_bins):
-        end[k] += end[k - 1]
-    order = np.empty(n, np.int32)
-    for i in range(n - 1, -1, -1):
-        k = bin_of(height[i], top, scale, n_bins)
-        end[k] -= 1
-        order[end[k]] = i
-    for k in range(n_bins):
-        a = end[k]
-        b = end[k + 1] if k + 1 < n_bins else n
-        if b - a > 1:
-            own = order[a:b].copy()
-            order[a:b] = own[np.argsort(-height[own], kind="mergesort")]
-    return order
-
-
-@njit
-def maxima(order, height, thickness, lattice, up, thickest):
-    """Local maxima of ``height`` and the saddles at which they are overtaken, by a sweep from high to low.
-
-    :param order: voxels by descending height, the smaller number first among equals.
-    :param up: (n,) int32, -1, is overwritten; so is ``thickest``.
-    :returns: for each maximum its voxel, the saddle's voxel (-1 for the highest of a component) and the largest
-        ``thickness`` in what hung on it before the saddle.
-    """
-    n = order.size
-    # the root of each component is its peak, which the sweep reached first
-    tip, saddle, widest = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024)
-    count = 0
-    out = np.empty(26, np.int64)
-    code = np.empty(26, np.int64)
-    for t in range(n):
-        i = order[t]
-        up[i] = i
-        thickest[i] = i
-        m = neighbours(i, lattice, out, code)
-        mine = i
-        for s in range(m):
-            j = out[s]
-            if up[j] < 0:
-                continue
-            other = find(up, j)
-            if other == mine:
-                continue
-            a, b = mine, other
-            # keep the higher peak; equal heights go to the smaller voxel number
-            if height[b] > height[a] or (height[b] == height[a] and b < a):
-                a, b = b, a
-            if b != i:
-                if count == tip.size:
-                    tip = np.concatenate((tip, np.empty(count, np.int32)))
-                    saddle = np.concatenate((saddle, np.empty(count, np.int32)))
-                    widest = np.concatenate((widest, np.empty(count)))
-                tip[count] = b
-                saddle[count] = i
-                widest[count] = thickness[thickest[b]]
-                count += 1
-            up[b] = a
-            if thickness[thickest[b]] > thickness[thickest[a]]:
-                thickest[a] = thickest[b]
-            mine = a
-    n_alone = 0
-    for i in range(n):
-        n_alone += up[i] == i
-    alone = np.empty(n_alone, np.int64)
-    n_alone = 0
-    for i in range(n):
-        if up[i] == i:
-            alone[n_alone] = i
-            n_alone += 1
-    tip = np.concatenate((tip[:count], alone.astype(np.int32)))
-    saddle = np.concatenate((saddle[:count], np.full(alone.size, -1, np.int32)))
-    return tip, saddle, np.concatenate((widest[:count], thickness[thickest[alone]]))

@@ -27,25 +27,29 @@ def adjacency_masks():
 
 
 @njit
-def lowest_bit(mask):
-    k = 0
-    while (mask >> k) & 1 == 0:
-        k += 1
-    return k
-
-
-@njit
 def flood(mask, seed, near):
-    """The part of ``mask`` that is connected to the bit ``seed``."""
-    part = 1 << seed
-    fringe = part
-    while fringe:
-        k = lowest_bit(fringe)
+    """The part of ``mask`` that is connected to its bit ``seed`` (the bit itself, not its number)."""
+    part = fringe = seed
+    while fringe and part != mask:
+        k = 0
+        while (fringe >> k) & 1 == 0:
+            k += 1
         fringe &= fringe - 1
         new = near[k] & mask & ~part
         part |= new
         fringe |= new
     return part
+
+
+@njit
+def is_one_piece(mask, near26):
+    """Whether the places in ``mask`` are one 26-component."""
+    return mask != 0 and flood(mask, mask & -mask, near26) == mask
+
+
+STEPS = np.abs(np.arange(27) // 9 - 1) + np.abs(np.arange(27) // 3 % 3 - 1) + np.abs(np.arange(27) % 3 - 1)
+EIGHTEEN = int(((STEPS > 0) & (STEPS <= 2)) @ (1 << np.arange(27)))
+FACES = int((STEPS == 1) @ (1 << np.arange(27)))
 
 
 @njit
@@ -55,26 +59,11 @@ def is_simple(mask, near26, near6):
     Bertrand and Malandain (1994): one 26-component of foreground among the 26 neighbours, and one 6-component of
     background among the 18 neighbours that touches the voxel by a face.
     """
-    if mask == 0:
+    background = EIGHTEEN & ~mask
+    open_faces = FACES & ~mask
+    if open_faces == 0 or open_faces & ~flood(background, open_faces & -open_faces, near6):
         return False
-    if flood(mask, lowest_bit(mask), near26) != mask:
-        return False
-    eighteen = 0
-    faces = 0
-    for c in range(27):
-        if c == 13:
-            continue
-        z, y, x = c // 9 - 1, (c // 3) % 3 - 1, c % 3 - 1
-        reach = abs(z) + abs(y) + abs(x)
-        if reach <= 2:
-            eighteen |= 1 << c
-        if reach == 1:
-            faces |= 1 << c
-    background = eighteen & ~mask
-    open_faces = background & faces
-    if open_faces == 0:
-        return False
-    return open_faces & ~flood(background, lowest_bit(open_faces), near6) == 0
+    return is_one_piece(mask, near26)
 
 
 @njit

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vascval.imaging import _geodesic_kernels as kernels
+from vascval.imaging import _geodesic_kernels, _peak_kernels
+from vascval.imaging._thinning_kernels import adjacency_masks
 from vascval.imaging.voxels import Voxels
 
 SALIENCE_RADII = 0.5
@@ -49,22 +50,36 @@ def find_tips(voxels: Voxels, thickness_mm: np.ndarray) -> Tips:
     code = np.arange(27)
     offset = np.stack((code % 3 - 1, code // 3 % 3 - 1, code // 9 - 1), axis=1)
     step = np.sqrt(((offset * spacing) ** 2).sum(axis=1))
-    lattice = voxels.lattice
     width = EPOCH_VOXELS * float(spacing.max())
     way = np.full(voxels.n, np.inf)
-    kernels.geodesic(int(np.argmax(thickness_mm)), lattice, step, width, way)
+    _geodesic_kernels.geodesic(int(np.argmax(thickness_mm)), voxels.lattice, step, width, way)
     source = int(np.argmax(way))
     way[:] = np.inf
-    kernels.geodesic(source, lattice, step, width, way)
-    scratch = np.full(voxels.n, -1, dtype=np.int32), np.empty(voxels.n, dtype=np.int32)
-    tip, saddle, widest = kernels.maxima(kernels.descending(way), way, thickness_mm, lattice, *scratch)
-    del scratch
+    _geodesic_kernels.geodesic(source, voxels.lattice, step, width, way)
+    tip, saddle, widest = maxima(voxels, way, thickness_mm)
     persistence = np.where(saddle < 0, np.inf, way[tip] - way[saddle])
     voxel_mm = float(np.cbrt(np.prod(spacing)))
     bump_mm = bump_voxels(persistence / voxel_mm) * voxel_mm
     salient = persistence > salience_mm(widest, bump_mm)
     noticed = ~salient & (persistence > NOTICE_VOXELS * voxel_mm)
     return Tips(np.union1d(tip[salient], [source]), np.sort(tip[noticed]), bump_mm)
+
+
+def maxima(voxels: Voxels, height: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Local maxima of ``height`` (n,), of equal ones the voxel of the smaller number being the higher.
+
+    :returns: for each maximum its voxel, the saddle's voxel at which a higher one takes over (-1 for the highest of a
+        component) and the largest ``value`` (n,) in what hung on it before the saddle.
+    """
+    near, _ = adjacency_masks()
+    of_voxel = np.empty(voxels.n, dtype=np.int32)
+    event = _peak_kernels.find_events(height, voxels.lattice, near, of_voxel)
+    event = event[np.argsort(-height[event], kind="stable")]
+    _peak_kernels.name_events(event, of_voxel)
+    saddle, over, done = _peak_kernels.sweep(event, height, voxels.lattice, of_voxel)
+    most = _peak_kernels.most_above(value, event, height, of_voxel, saddle, over, done)
+    peak = np.flatnonzero(saddle != np.arange(event.size))
+    return event[peak], np.where(saddle < 0, -1, event[saddle])[peak], most[peak]
 
 
 def bump_voxels(persistence: np.ndarray) -> float:
