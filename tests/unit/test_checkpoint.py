@@ -2,6 +2,7 @@
 
 import hashlib
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -318,3 +319,28 @@ def test_a_tree_that_cannot_be_written_is_not_lost(tmp_path, monkeypatch, capsys
     assert (folder / "tree.vtp").read_bytes() == (tmp_path / "whole.vtp").read_bytes()
     assert set(there) <= {300}  # nothing is grown again
     assert not kept.exists()
+
+
+@pytest.mark.usefixtures("slow_steps")
+def test_one_is_kept_each_minute_beside_the_tree(tmp_path, monkeypatch):
+    """By a clock that goes on by 25 seconds with each step."""
+    seconds, kept = [0.0], []
+    write, advance = checkpoint.write, Growth._advance
+
+    def noted(path, *others):
+        kept.append((path, seconds[0]))
+        write(path, *others)
+
+    def timed(growth, target):
+        advance(growth, target)
+        seconds[0] += 25.0
+
+    monkeypatch.setattr(checkpoint, "write", noted)
+    monkeypatch.setattr(Growth, "_advance", timed)
+    monkeypatch.setattr("vascval.cli.keeping.time", SimpleNamespace(monotonic=lambda: seconds[0]))
+    command = ["generate", "karch-box", "--set", "n_terminals=500", "-o", str(tmp_path / "tree.vtp"), "--quiet"]
+    assert main(command) == 0
+    assert {path for path, _ in kept} == {tmp_path / "tree.vtp.checkpoint"}
+    at = [when for _, when in kept]
+    assert at[:3] == [75.0, 150.0, 225.0]
+    assert [path.name for path in tmp_path.iterdir()] == ["tree.vtp"]
