@@ -35,7 +35,7 @@ TESTS = (
     "tests/oracle",
     *(f"tests/unit/test_{name}.py" for name in (
         "small_trees", "small_volumes", "topology_annealing", "geometry_cases", "geometry_walls", "renewal",
-        "checkpoint", "io_arrays", "io_foreign_trees", "io_vtp_variants",
+        "checkpoint", "core", "io_arrays", "io_foreign_trees", "io_vtp_variants",
     )),
 )  # fmt: skip
 
