@@ -26,15 +26,16 @@ def lengths(parent, position, eps, chord, length):
 
 
 @njit
-def radii(parent, length, n, gamma, factor, fixed_radius, stem, radius, rho, q, total):
+def radii(parent, length, n, gamma, factor, fixed_radius, stem, base, radius, rho, q, total):
     """Leaf to root ``rho``, its power ``q = rho^(gamma/4)`` and their sums ``total`` at each node; then the radii.
 
+    ``base`` (N,) is what ``total`` holds of segments that are left out.
     ``fixed_radius`` (N,) is NaN where the radius follows; ``stem`` (N,) holds ``kappa Q_term / dp`` for the segments
     that spring from a fixed node, ``dp`` being the pressure left there, and 0 for all others.
     """
     size = parent.size
     for i in range(size):
-        total[i] = 0.0
+        total[i] = base[i]
     for i in range(size - 1, 0, -1):
         p = parent[i]
         rho[i] = n[i] * length[i] * factor[i]
@@ -53,12 +54,13 @@ def radii(parent, length, n, gamma, factor, fixed_radius, stem, radius, rho, q, 
 
 
 @njit
-def adjoint(parent, length, n, gamma, factor, free, rho, q, total, push, lift, below, slope, stretch):
+def adjoint(parent, length, n, gamma, factor, free, rho, q, total, lump, push, lift, below, slope, stretch):
     """Derivatives of a cost by the lengths and by the viscosity factors, given those by radii and lengths.
 
     With ``rho_i = n_i l_i f_i + S_i^(4/gamma)``, ``log r_c = log r_i + log(rho_c) / 4 - log(S_i) / gamma``: leaf to
     root ``g_i``, the derivative by ``log r_i`` when all below scales along; root to leaf that by ``log rho_i``.
 
+    :param lump: (N,) volume of what is left out at each node; it goes with the square of ``r_i / S_i^(1/gamma)``.
     :param push: (N,) derivative of the cost by ``log r_i``, all else fixed.
     :param lift: (N,) derivative of the cost by ``l_i``, all else fixed.
     :param below: (N,) out: sum of ``g`` over the segments that spring from each node.
@@ -67,7 +69,7 @@ def adjoint(parent, length, n, gamma, factor, free, rho, q, total, push, lift, b
     """
     size = parent.size
     for i in range(size):
-        below[i] = 0.0
+        below[i] = 2.0 * lump[i]
     for i in range(size - 1, 0, -1):
         if free[i]:
             below[parent[i]] += push[i] + below[i]
@@ -113,45 +115,69 @@ def pull(parent, position, moves, chord, length, slope, hold, gradient):
 
 
 @njit
-def cost(length, chord, radius, free, shortest, pull, bound, push, lift, hold, stiff):
-    """Volume of the free segments plus the augmented Lagrangian of ``|d| >= shortest``.
+def cost(length, chord, radius, total, gamma, bulk, free, shortest, pull, bound, lump, push, lift, hold, stiff):
+    """Volume of the free segments, of what is left out, and the augmented Lagrangian of ``|d| >= shortest``.
 
     A bound with multiplier ``m = pull_i`` and stiffness ``k = bound_i`` adds ``(t^2 - m^2) / (2 k)`` with
     ``t = max(0, m + k (shortest - |d|))``; where ``k`` is 0 there is none.
 
+    :param bulk: (N,) volume of what is left out, by the square of ``r / total^(1/gamma)``; ``lump`` (N,) out: itself.
     :param push, lift: (N,) out: derivatives of the volume by ``log r`` and by ``l``.
     :param hold, stiff: (N,) out: ``t``, the force of the bound, and the curvature that it adds.
     """
-    total = 0.0
+    volume = 0.0
     for i in range(1, length.size):
         if not free[i]:
             continue
+        if bulk[i] > 0.0:
+            lump[i] = bulk[i] * (radius[i] / total[i] ** (1.0 / gamma[i])) ** 2
+            volume += lump[i]
         lift[i] = math.pi * radius[i] * radius[i]
         push[i] = 2.0 * lift[i] * length[i]
-        total += lift[i] * length[i]
+        volume += lift[i] * length[i]
         hold[i], stiff[i] = 0.0, 0.0
         if bound[i] > 0.0:
             hold[i] = max(0.0, pull[i] + bound[i] * (shortest - chord[i]))
-            total += (hold[i] * hold[i] - pull[i] * pull[i]) / (2.0 * bound[i])
+            volume += (hold[i] * hold[i] - pull[i] * pull[i]) / (2.0 * bound[i])
             if hold[i] > 0.0:
                 stiff[i] = bound[i]
-    return total
+    return volume
 
 
 @njit
-def imbalance(parent, moves, weight, gradient, pulls):
-    """The largest force on a node that moves, relative to the sum of the weights of its segments."""
+def imbalance(parent, moves, weight, gradient, force):
+    """The largest force on a node that moves, relative to the sum of the weights of its segments; ``force``: all."""
     for i in range(parent.size):
-        pulls[i] = 0.0
+        force[i] = 0.0
     for i in range(1, parent.size):
-        pulls[i] += abs(weight[i])
-        pulls[parent[i]] += abs(weight[i])
+        force[i] += abs(weight[i])
+        force[parent[i]] += abs(weight[i])
     worst = 0.0
     for i in range(parent.size):
         if moves[i]:
-            force = math.sqrt(gradient[i, 0] ** 2 + gradient[i, 1] ** 2 + gradient[i, 2] ** 2)
-            worst = max(worst, force / pulls[i])
+            square = gradient[i, 0] ** 2 + gradient[i, 1] ** 2 + gradient[i, 2] ** 2
+            force[i] = math.sqrt(square) / force[i]
+            worst = max(worst, force[i])
+        else:
+            force[i] = 0.0
     return worst
+
+
+@njit
+def leave_out(parent, kept, q, volume, base, rest):
+    """Keep all that lies between the root and what is ``kept`` (N,) bool; sum up what is not, where it springs from.
+
+    :param volume: (N,) of each segment; out: with all below it.
+    :param base, rest: (N,) sums of ``q`` and ``volume`` over the segments left out at each node are added to these.
+    """
+    for i in range(parent.size - 1, 0, -1):
+        p = parent[i]
+        volume[p] += volume[i]
+        if kept[i]:
+            kept[p] = True
+        else:
+            base[p] += q[i]
+            rest[p] += volume[i]
 
 
 @njit

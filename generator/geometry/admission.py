@@ -21,7 +21,7 @@ from generator._domain_kernels import inside_along
 from generator.domain import Domain
 from generator.geometry import _clearance_kernels as kernels
 from generator.geometry.problem import Problem, Solution
-from generator.geometry.reduced import COINCIDENT_MM, evaluate
+from generator.geometry.reduced_model import COINCIDENT_MM, evaluate
 from generator.geometry.walls import walls_met
 from vascval.core.errors import ComputationError
 from vascval.core.tree import Tree

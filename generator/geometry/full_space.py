@@ -22,7 +22,7 @@ import numpy as np
 
 from generator.geometry._viscosity_kernels import DEPLETED_MM, PLASMA_CP
 from generator.geometry.problem import Problem, Solution
-from generator.geometry.reduced import evaluate
+from generator.geometry.reduced_model import evaluate
 from vascval.core.errors import ComputationError
 from vascval.core.tree import Tree
 from vascval.core.units import PA_S_PER_CP

@@ -9,7 +9,7 @@ import numpy as np
 
 from generator.geometry import _clearance_kernels as kernels
 from generator.geometry.problem import Problem, Solution
-from generator.geometry.reduced import COINCIDENT_MM, Model
+from generator.geometry.reduced_model import COINCIDENT_MM, Model
 from vascval.core.contraction import contract_degenerate, degenerate_segments
 from vascval.core.ordering import root_first
 from vascval.core.tree import Topology, Tree

@@ -9,7 +9,7 @@ import numpy as np
 from generator.geometry._reduced_kernels import dot, pull, solve_laplacian
 from vascval.core.jit import njit
 
-BEND = 0.97  # as in generator.geometry.reduced
+BEND = 0.97
 COARSE, FINE = 1e-2, 3e-4  # smoothing in parts of the size of the tree
 TIGHT = 1e-3  # relative distance of bound and value that is good enough
 

@@ -12,7 +12,7 @@ from generator.geometry._reduced_kernels import dot, imbalance, lengths, pull, s
 from generator.topology._state_kernels import begin, child_slope, keep_off, refresh, relength, save, sweep, total, undo
 from vascval.core.jit import njit
 
-BEND = 0.97  # as in generator.geometry.reduced
+BEND = 0.97
 ARMIJO = 1e-4
 
 

@@ -18,7 +18,8 @@ from generator.geometry.admission import Admission
 from generator.geometry.full_space import solve_full
 from generator.geometry.optimise import optimise
 from generator.geometry.problem import Problem, Solution
-from generator.geometry.reduced import evaluate, solve_reduced
+from generator.geometry.reduced import solve_reduced
+from generator.geometry.reduced_model import evaluate
 from tests.benchmarks.tables import main, table
 from vascval.core.errors import ComputationError
 

@@ -8,7 +8,7 @@ from scipy.sparse.linalg import spsolve
 from generator.config import load
 from generator.framework import Run
 from generator.geometry.problem import Physics, Problem
-from generator.geometry.reduced import Model
+from generator.geometry.reduced_model import Model
 from vascval.core.tree import Topology, Tree
 
 

@@ -12,7 +12,8 @@ from generator.geometry.admission import Admission
 from generator.geometry.junctions import split_gains
 from generator.geometry.optimise import optimise
 from generator.geometry.problem import Physics, Problem
-from generator.geometry.reduced import Model, evaluate, solve_reduced
+from generator.geometry.reduced import solve_reduced
+from generator.geometry.reduced_model import Model, evaluate
 from generator.haemodynamics import Perfusion
 from tests.oracle.geometry_oracle import (
     dense_laplacian,

@@ -13,7 +13,8 @@ from generator.geometry.admission import Admission
 from generator.geometry.full_space import solve_full
 from generator.geometry.optimise import optimise, relax
 from generator.geometry.problem import Physics, Problem
-from generator.geometry.reduced import evaluate, solve_reduced
+from generator.geometry.reduced import solve_reduced
+from generator.geometry.reduced_model import evaluate
 from generator.geometry.viscosity import fahraeus_lindqvist_pa_s
 from generator.growth.growth import Growth
 from generator.growth.root_tree import RootTree

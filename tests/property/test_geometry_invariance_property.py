@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from generator.domain import Box
 from generator.geometry.optimise import optimise
 from generator.geometry.problem import Physics, Problem
-from generator.geometry.reduced import evaluate, solve_reduced
+from generator.geometry.reduced import solve_reduced
+from generator.geometry.reduced_model import evaluate
 from generator.growth.growth import Growth
 from generator.haemodynamics import Perfusion, perfused_tree
 from generator.topology.annealing import Annealing, AnnealingOptions

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from generator.geometry.junctions import contracted
 from generator.geometry.optimise import optimise
 from generator.geometry.problem import Physics, Problem
-from generator.geometry.reduced import evaluate, solve_reduced
+from generator.geometry.reduced import solve_reduced
+from generator.geometry.reduced_model import evaluate
 from generator.haemodynamics import Perfusion, perfused_tree
 from vascval.core.tree import Topology
 

@@ -11,7 +11,8 @@ from generator.geometry.full_space import solve_full
 from generator.geometry.junctions import contracted, split
 from generator.geometry.optimise import optimise
 from generator.geometry.problem import Physics, Problem
-from generator.geometry.reduced import ReducedOptions, evaluate, solve_reduced
+from generator.geometry.reduced import ReducedOptions, solve_reduced
+from generator.geometry.reduced_model import evaluate
 from generator.geometry.viscosity import fahraeus_lindqvist_pa_s
 from generator.haemodynamics import Perfusion
 from tests.oracle.geometry_oracle import grown, problem_of

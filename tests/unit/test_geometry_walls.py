@@ -12,7 +12,8 @@ from generator.geometry.full_space import solve_full
 from generator.geometry.junctions import split
 from generator.geometry.optimise import optimise
 from generator.geometry.problem import Physics, Problem
-from generator.geometry.reduced import ReducedOptions, evaluate, solve_reduced
+from generator.geometry.reduced import ReducedOptions, solve_reduced
+from generator.geometry.reduced_model import evaluate
 from generator.geometry.walls import Walls, walls_met
 from generator.haemodynamics import Perfusion
 from tests.oracle.geometry_oracle import problem_of
