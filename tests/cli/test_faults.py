@@ -78,6 +78,7 @@ def test_full_and_read_only_disks(tmp_path, commands):
         assert found["err"].count("\n") == 1, (name, found["err"])
         reason = "not writable" if case["read_only"] else "cannot be written (No space left on device)"
         assert reason in found["err"], name
+        assert f"error: {tmp_path / 'disk' / 'out'}" in found["err"], name  # what it is about, not an input
 
 
 def test_an_ensemble_on_a_full_disk_keeps_the_trees_that_are_whole(tmp_path):

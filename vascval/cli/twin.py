@@ -138,8 +138,7 @@ def twin(
                 measured = sources.measure(cast, cast.name, selection, unit, observer)
                 kept.keep(measured)
                 keeping.write()
-            with sources.about(cast):
-                document = _twin(inputs, measured, wishes, configs, kept, keeping, work, observer, chosen)
+            document = _twin(inputs, measured, wishes, configs, kept, keeping, work, observer, chosen)
     except BaseException as error:
         if resume is None and not kept.helps(error):
             keeping.end()
@@ -199,7 +198,7 @@ def _twin(
     if wishes.domain is not None:
         ground = parts.given_ground(wishes.domain, config, whole, work)
     else:
-        ground = parts.hull_ground(whole, path.name, wishes.hull_radius_mm, wishes.hull_margin_mm, work)
+        ground = parts.hull_ground(whole, path, wishes.hull_radius_mm, wishes.hull_margin_mm, work)
     start = parts.start(whole, path, ground)
     for sentence in (*ground.domain.notes, *start.notes):
         note(sentence)

@@ -98,7 +98,7 @@ def given_ground(path: Path, config: Config, cast: Tree, folder: Path) -> Ground
     return _ground(domain, folder / name, surface, kind=kind, source=path.name, closing_mm=closing, margin_mm=0.0)
 
 
-def hull_ground(cast: Tree, source: str, radius_mm: float | None, margin_mm: float | None, folder: Path) -> Ground:
+def hull_ground(cast: Tree, source: Path, radius_mm: float | None, margin_mm: float | None, folder: Path) -> Ground:
     """The hull of the cast (:func:`vascval.imaging.perfusion_volume.perfusion_volume`), written into ``folder``."""
     from generator.config import DomainConfig
     from generator.domains import make_domain
@@ -106,13 +106,14 @@ def hull_ground(cast: Tree, source: str, radius_mm: float | None, margin_mm: flo
     from vascval.io.volumes import write_volume
     from vascval.report.scene import mask_surface
 
-    hull = perfusion_volume(cast, radius_mm=radius_mm, margin_mm=margin_mm)
+    with sources.about(source):
+        hull = perfusion_volume(cast, radius_mm=radius_mm, margin_mm=margin_mm)
     write_volume(hull.mask, folder / "domain.nrrd")
     domain = make_domain(DomainConfig(file=folder / "domain.nrrd"))
     if hull.n_voids_filled:
         domain.notes = (*domain.notes, f"{hull.n_voids_filled} voids of the hull were filled")
     return _ground(
-        domain, folder / "domain.nrrd", mask_surface(hull.mask), kind="hull", source=source,
+        domain, folder / "domain.nrrd", mask_surface(hull.mask), kind="hull", source=source.name,
         closing_mm=hull.radius_mm, margin_mm=hull.margin_mm,
     )  # fmt: skip
 
