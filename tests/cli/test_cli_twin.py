@@ -338,3 +338,25 @@ def test_a_checkpoint_that_is_not_of_a_cast_is_refused(tmp_path, cast_file, monk
     twin(cast_file, "-o", out, "--resume", kept, code=2)
     assert "holds a cast that is not sound; begin the run anew" in capsys.readouterr().err
     assert kept.exists()
+
+
+def test_a_checkpoint_of_another_twin_is_refused(tmp_path, cast_file, mask, monkeypatch, capsys):
+    out, kept = tmp_path / "twin", tmp_path / "twin.checkpoint"
+    with monkeypatch.context() as patch:
+        interrupted_at(patch, twin_parts, "hull_ground", 1)
+        twin(cast_file, "-o", out, code=130)
+    before = kept.read_bytes()
+    capsys.readouterr()
+    twin(cast_file, "--root-generations", 1, "-o", out, "--resume", kept, code=2)
+    assert "is of another configuration: root_generations is 0 there and 1 here" in capsys.readouterr().err
+    mask = mask.copy()
+    mask[0, 0, 0] = 1
+    write_nrrd(cast_file, mask, origin=(-18.0, -12.0, -5.0))
+    twin(cast_file, "-o", out, "--resume", kept, code=2)
+    assert "is of another configuration: the content of the input files differs" in capsys.readouterr().err
+    with monkeypatch.context() as patch:
+        patch.setattr("vascval.__version__", "9.9")
+        twin(cast_file, "-o", out, "--resume", kept, code=2)
+    assert "was written by vascval" in capsys.readouterr().err
+    assert kept.read_bytes() == before
+    assert not out.exists()
