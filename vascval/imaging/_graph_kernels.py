@@ -144,8 +144,7 @@ def nearest_points(label, centre, radius, lattice, spacing, best):
     span, run, ny = lattice.span, lattice.run, lattice.ny
     queue = np.empty(n + 1, np.int32)
     waiting = np.zeros(n, np.bool_)
-    axis_x, axis_y, axis_z = np.arange(27) % 3, np.arange(27) // 3 % 3, np.arange(27) // 9
-    square = np.empty((3, 3))
+    square, power = np.empty((3, 3)), np.empty(27)
     head, tail, size = 0, 0, 0
     for i in range(n):
         if label[i] >= 0:
@@ -170,12 +169,15 @@ def nearest_points(label, centre, radius, lattice, spacing, best):
             square[0, c] = ((x + c - 1) * spacing[0] - centre[p, 0]) ** 2
             square[1, c] = ((y + c - 1) * spacing[1] - centre[p, 1]) ** 2
             square[2, c] = ((z + c - 1) * spacing[2] - centre[p, 2]) ** 2
-        m = neighbours(i, lattice, out, code)
-        for t in range(m):
-            j, c = out[t], code[t]
-            power = square[0, axis_x[c]] + square[1, axis_y[c]] + square[2, axis_z[c]] - radius[p] ** 2
-            if power < best[j]:
-                best[j] = power
+        reach = radius[p] ** 2
+        for c in range(9):
+            ahead, across = square[2, c // 3], square[1, c % 3]
+            for d in range(3):
+                power[3 * c + d] = square[0, d] + across + ahead - reach
+        for t in range(neighbours(i, lattice, out, code)):
+            j = out[t]
+            if power[code[t]] < best[j]:
+                best[j] = power[code[t]]
                 label[j] = p
                 if not waiting[j]:
                     waiting[j] = True
