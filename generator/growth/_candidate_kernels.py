@@ -14,11 +14,11 @@ best ``b`` is the weighted Fermat point of three points, known in closed form; a
 
 import numpy as np
 
+from generator._fermat_kernels import NOWHERE, fermat
 from vascval.core.jit import njit
 
 NEAR = 1e-2
 TINY = 1e-30
-NOWHERE, AT_PROXIMAL, AT_DISTAL, AT_TERMINAL = 0, 1, 2, 3
 
 
 @njit
@@ -121,46 +121,6 @@ def weights(n, values, d_rho, d_v):
 
 
 @njit
-def fermat(r, x, y, z, wp, ws, wt):
-    """Weighted Fermat point of the ends of segment ``r`` and a third point, and which of the three it falls on.
-
-    In the triangle whose sides are the weights, of angles ``theta``, the point has barycentric coordinates
-    proportional to ``w_i d_jk / sin(alpha_i + theta_i)``, ``alpha`` being the angles of the triangle of points; a sine
-    that is not positive means corner ``i``. Both factors follow from the squares of the sides without trigonometry.
-    """
-    ps = r.length * r.length
-    pt = (r.ax - x) ** 2 + (r.ay - y) ** 2 + (r.az - z) ** 2
-    st = (r.bx - x) ** 2 + (r.by - y) ** 2 + (r.bz - z) ** 2
-    product = (wp + ws + wt) * (ws + wt - wp) * (wp + wt - ws) * (wp + ws - wt)
-    if product <= 0.0:
-        if wp >= ws and wp >= wt:
-            return r.ax, r.ay, r.az, AT_PROXIMAL
-        if ws >= wt:
-            return r.bx, r.by, r.bz, AT_DISTAL
-        return x, y, z, AT_TERMINAL
-    area_w = np.sqrt(product)
-    area = np.sqrt(max(4.0 * ps * pt - (ps + pt - st) ** 2, 0.0))
-    kp = (ps + pt - st) * area_w + (ws * ws + wt * wt - wp * wp) * area
-    ks = (ps + st - pt) * area_w + (wp * wp + wt * wt - ws * ws) * area
-    kt = (pt + st - ps) * area_w + (wp * wp + ws * ws - wt * wt) * area
-    if kp <= 0.0:
-        return r.ax, r.ay, r.az, AT_PROXIMAL
-    if ks <= 0.0:
-        return r.bx, r.by, r.bz, AT_DISTAL
-    if kt <= 0.0:
-        return x, y, z, AT_TERMINAL
-    cp, cs, ct = ks * kt, kp * kt, kp * ks
-    total = cp + cs + ct
-    cp, cs, ct = cp / total, cs / total, ct / total
-    return (
-        cp * r.ax + cs * r.bx + ct * x,
-        cp * r.ay + cs * r.by + ct * y,
-        cp * r.az + cs * r.bz + ct * z,
-        NOWHERE,
-    )
-
-
-@njit
 def beside(ox, oy, oz, ax, ay, az, wa, bx, by, bz, wb, distance):
     """The point ``distance`` from ``o`` towards where the pulls ``wa`` of ``a`` and ``wb`` of ``b`` add up to."""
     la, lb = length_between(ox, oy, oz, ax, ay, az), length_between(ox, oy, oz, bx, by, bz)
@@ -203,7 +163,10 @@ def assess(store, s, bx, by, bz, x, y, z, scale):
 
 @njit
 def refine(store, s, bx, by, bz, x, y, z, d_rho, d_v, rounds):
-    """Fermat rounds with the path's derivatives held; the last weights, and the corner it fell on, are returned too."""
+    """Fermat rounds with the path's derivatives held; the last weights and the corner it fell on are returned too.
+
+    Corners are the proximal end, the distal one, and the terminal.
+    """
     r = store.segment[s]
     corner = NOWHERE
     wp = ws = wt = 0.0
@@ -212,7 +175,7 @@ def refine(store, s, bx, by, bz, x, y, z, d_rho, d_v, rounds):
         ls = length_between(bx, by, bz, r.bx, r.by, r.bz)
         lt = length_between(bx, by, bz, x, y, z)
         wp, ws, wt = weights(r.n, joined(store, r, lp, ls, lt), d_rho, d_v)
-        fx, fy, fz, corner = fermat(r, x, y, z, wp, ws, wt)
+        fx, fy, fz, corner = fermat(r.ax, r.ay, r.az, r.bx, r.by, r.bz, x, y, z, wp, ws, wt)
         part = 1.0 if corner == NOWHERE else 0.8
         bx, by, bz = bx + part * (fx - bx), by + part * (fy - by), bz + part * (fz - bz)
     return bx, by, bz, corner, wp, ws, wt

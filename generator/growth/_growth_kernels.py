@@ -7,11 +7,8 @@ compile every callee once more.
 import numpy as np
 
 from generator._domain_kernels import segment_inside
+from generator._fermat_kernels import AT_FIRST, AT_SECOND, AT_THIRD, NOWHERE
 from generator.growth._candidate_kernels import (
-    AT_DISTAL,
-    AT_PROXIMAL,
-    AT_TERMINAL,
-    NOWHERE,
     assess,
     beside,
     climb,
@@ -74,13 +71,13 @@ def moved_off(store, rules, s, x, y, z, found, bx, by, bz, corner):
     shortest_p = max(2.0 * rules.diameters * rp, rules.shortest_mm)
     shortest_s = max(2.0 * rules.diameters * rs, rules.shortest_mm)
     shortest_t = max(2.0 * rules.diameters * rt, rules.shortest_mm)
-    if corner == AT_PROXIMAL or lp < shortest_p:
+    if corner == AT_FIRST or lp < shortest_p:
         shortest_p = max(1.02 * shortest_p, 1e-3 * r.length)
         return beside(r.ax, r.ay, r.az, r.bx, r.by, r.bz, ws, x, y, z, wt, shortest_p), True
-    if corner == AT_DISTAL or ls < shortest_s:
+    if corner == AT_SECOND or ls < shortest_s:
         shortest_s = max(1.02 * shortest_s, 1e-3 * r.length)
         return beside(r.bx, r.by, r.bz, r.ax, r.ay, r.az, wp, x, y, z, wt, shortest_s), True
-    if corner == AT_TERMINAL or lt < shortest_t:
+    if corner == AT_THIRD or lt < shortest_t:
         shortest_t = max(1.02 * shortest_t, 1e-3 * r.length)
         return beside(x, y, z, r.ax, r.ay, r.az, wp, r.bx, r.by, r.bz, ws, shortest_t), True
     return (bx, by, bz), False
@@ -110,7 +107,7 @@ def propose(store, rules, s, x, y, z, scale):
     for rounds in (3, 2):
         bx, by, bz, corner, _, _, _ = refine(store, s, bx, by, bz, x, y, z, found[10], found[11], rounds)
         found = assess(store, s, bx, by, bz, x, y, z, scale)
-    merge = corner == AT_PROXIMAL or (corner == NOWHERE and found[1] <= rules.merge_mm)
+    merge = corner == AT_FIRST or (corner == NOWHERE and found[1] <= rules.merge_mm)
     (bx, by, bz), moved = moved_off(store, rules, s, x, y, z, found, bx, by, bz, corner)
     if moved:
         found = assess(store, s, bx, by, bz, x, y, z, scale)

@@ -6,7 +6,8 @@ slopes of the last sweep stand for the rest of the tree. Most tests are settled 
 
 import numpy as np
 
-from generator.topology._move_kernels import fermat_of, first_place, is_below, sibling
+from generator._fermat_kernels import NOWHERE, fermat
+from generator.topology._move_kernels import first_place, is_below, sibling
 from generator.topology._state_kernels import TINY, branch_power, child_slope, distance, joined
 from vascval.core.jit import njit
 
@@ -67,10 +68,10 @@ def fork(state, s, t, extra):
             break
         e_rho, e_v = child_slope(r.d_rho, r.d_v, s_sum, a, base_v, rho_e, v_e, q_e)
         c_rho, c_v = child_slope(r.d_rho, r.d_v, s_sum, a, base_v, rho_r, v_r, q_r)
-        px, py, pz, corner = fermat_of(
+        px, py, pz, corner = fermat(
             u.x, u.y, u.z, r.x, r.y, r.z, e.x, e.y, e.z, n * r.d_rho + r.d_v, n_r * c_rho + c_v, e.n * e_rho + e_v
         )
-        part = 0.9 if corner else 1.0
+        part = 1.0 if corner == NOWHERE else 0.9
         x, y, z = x + part * (px - x), y + part * (py - y), z + part * (pz - z)
     return rho, v
 

@@ -1,55 +1,8 @@
 """Moves from topology to topology, and the places of the bifurcations they concern."""
 
-import numpy as np
-
+from generator._fermat_kernels import NOWHERE, fermat
 from generator.topology._state_kernels import child_slope, distance, keep_off, refresh, relength, save
 from vascval.core.jit import njit
-
-
-@njit
-def fermat(a, b, c, wa, wb, wc):
-    """Weighted Fermat point of three nodes, and whether it falls on one of them."""
-    return fermat_of(a.x, a.y, a.z, b.x, b.y, b.z, c.x, c.y, c.z, wa, wb, wc)
-
-
-@njit
-def fermat_of(ax, ay, az, bx, by, bz, cx, cy, cz, wa, wb, wc):
-    """Weighted Fermat point of three points, and whether it falls on one of them.
-
-    In the triangle whose sides are the weights, of angles ``theta``, the point has barycentric coordinates
-    proportional to ``w_i d_jk / sin(alpha_i + theta_i)``, ``alpha`` being the angles of the triangle of nodes; a sine
-    that is not positive means node ``i``. Both factors follow from the squares of the sides without trigonometry.
-    """
-    product = (wa + wb + wc) * (wb + wc - wa) * (wa + wc - wb) * (wa + wb - wc)
-    if product <= 0.0:
-        if wa >= wb and wa >= wc:
-            return ax, ay, az, True
-        if wb >= wc:
-            return bx, by, bz, True
-        return cx, cy, cz, True
-    ab = (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2
-    ac = (ax - cx) ** 2 + (ay - cy) ** 2 + (az - cz) ** 2
-    bc = (bx - cx) ** 2 + (by - cy) ** 2 + (bz - cz) ** 2
-    area_w = np.sqrt(product)
-    area = np.sqrt(max(4.0 * ab * ac - (ab + ac - bc) ** 2, 0.0))
-    ka = (ab + ac - bc) * area_w + (wb * wb + wc * wc - wa * wa) * area
-    kb = (ab + bc - ac) * area_w + (wa * wa + wc * wc - wb * wb) * area
-    kc = (ac + bc - ab) * area_w + (wa * wa + wb * wb - wc * wc) * area
-    if ka <= 0.0:
-        return ax, ay, az, True
-    if kb <= 0.0:
-        return bx, by, bz, True
-    if kc <= 0.0:
-        return cx, cy, cz, True
-    fa, fb, fc = kb * kc, ka * kc, ka * kb
-    scale = 1.0 / (fa + fb + fc)
-    fa, fb, fc = fa * scale, fb * scale, fc * scale
-    return (
-        fa * ax + fb * bx + fc * cx,
-        fa * ay + fb * by + fc * cy,
-        fa * az + fb * bz + fc * cz,
-        False,
-    )
 
 
 @njit
@@ -69,8 +22,10 @@ def settle(state, i, d_rho, d_v, rounds):
         refresh(state, i)
         c_rho, c_v = child_slope(d_rho, d_v, r.s_sum, r.a, r.base_v, c.rho, c.v, c.q)
         e_rho, e_v = child_slope(d_rho, d_v, r.s_sum, r.a, r.base_v, d.rho, d.v, d.q)
-        x, y, z, corner = fermat(p, c, d, r.n * d_rho + d_v, c.n * c_rho + c_v, d.n * e_rho + e_v)
-        part = 0.9 if corner else 1.0
+        x, y, z, corner = fermat(
+            p.x, p.y, p.z, c.x, c.y, c.z, d.x, d.y, d.z, r.n * d_rho + d_v, c.n * c_rho + c_v, d.n * e_rho + e_v
+        )
+        part = 1.0 if corner == NOWHERE else 0.9
         r.x += part * (x - r.x)
         r.y += part * (y - r.y)
         r.z += part * (z - r.z)

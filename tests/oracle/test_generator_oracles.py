@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from generator import _domain_kernels as domain_kernels
+from generator._fermat_kernels import fermat
 from generator.domain import Box
 from generator.growth import _candidate_kernels as candidates
 from generator.growth import _index_kernels as index
@@ -111,7 +112,7 @@ def test_fermat_point_is_the_minimum(a, b, x, weight):
     def cost(z: np.ndarray) -> float:
         return float(np.dot(weight, np.linalg.norm(corners - z, axis=1)))
 
-    found = np.array(candidates.fermat(record(a, b), *x, *weight)[:3])
+    found = np.array(fermat(*a, *b, *x, *weight)[:3])
     rivals = [cost(corner) for corner in corners]
     rivals.append(minimize(cost, corners.mean(axis=0), method="Nelder-Mead", options={"xatol": 1e-6}).fun)
     scale = max(np.ptp(corners, axis=0).max(), 1e-9)
