@@ -21,8 +21,9 @@ from vascval.core.tree import Topology, Tree
 from vascval.io.trees import read_tree, write_vtp
 from vascval.io.volumes import Volume, read_volume, write_volume
 from vascval.morphometry import analyze
-from vascval.report import view, write_analysis_report, write_compare_report
+from vascval.report import view
 from vascval.report.page import Section, Text, render
+from vascval.report.write import write_analysis_report, write_compare_report
 
 ATTACK = "document.documentElement.setAttribute('data-attacked','yes')"
 ATTACKS = (

@@ -21,7 +21,8 @@ from vascval.io import schemas
 from vascval.io.documents import ReferenceTable
 from vascval.io.volumes import Volume
 from vascval.morphometry import analyze
-from vascval.report import view, write_analysis_report, write_compare_report
+from vascval.report import view
+from vascval.report.write import write_analysis_report, write_compare_report
 
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"' $x^2$ _\n.vtp"
 ORIGIN = {

@@ -50,7 +50,7 @@ def analyze(
     with progress() as observer:
         measured = sources.measure(source, source.name, selection, unit, observer)
         if directory is not None:
-            from vascval.report import write_analysis_report
+            from vascval.report.write import write_analysis_report
 
             write_analysis_report(measured.analysis, directory, provenance=origin, skeleton=measured.skeleton)
     document = measured.analysis.document()

@@ -124,7 +124,7 @@ def write_report(
     """The report and, unless the cast is a table, its tree: all of it or nothing."""
     from vascval.io.atomic import atomic_directory
     from vascval.io.trees import write_vtp
-    from vascval.report import write_compare_report
+    from vascval.report.write import write_compare_report
 
     with atomic_directory(directory) as work:
         skeleton = against.skeleton if isinstance(against, Measured) else None

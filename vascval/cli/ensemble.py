@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
@@ -137,6 +138,7 @@ def _make(planned: Plan, manifest: Manifest, log: Log, scheduler: str | None, wo
     with progress() as observer, ExitStack() as stack:
         if observer is not None:
             observer("starting workers", 0, len(missing))
+        threading.Thread(target=_load_report).start()
         client = stack.enter_context(connected(scheduler, min(workers or os.cpu_count() or 1, len(missing))))
         manifest.folder.mkdir(exist_ok=True)
         log.begin(manifest.folder / "log")
@@ -156,6 +158,13 @@ def _make(planned: Plan, manifest: Manifest, log: Log, scheduler: str | None, wo
             raise
         effort.seconds = time.perf_counter() - began
     return effort
+
+
+def _load_report() -> None:
+    """Loads what the report is made by, which takes a second, while others work."""
+    import matplotlib.figure  # noqa: F401
+
+    import vascval.report.ensemble  # noqa: F401
 
 
 _SHOWN = ("n_terminals", "n_segments", "n_trifurcations", "total_length_mm", "volume_mm3")

@@ -39,9 +39,9 @@ class Outcome:
         from vascval.comparison import compare
         from vascval.io.provenance import provenance
         from vascval.io.trees import write_tree, write_vtp
-        from vascval.report import write_compare_report
         from vascval.report.search_history import history_table
         from vascval.report.twin_section import Twin
+        from vascval.report.write import write_compare_report
 
         config = next(iter(self.runs.values())).config
         recorded = _recorded(config, without=("method",))

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from vascval.morphometry import Analysis
 from vascval.report.page import Picture
 from vascval.report.plots import from_zero, handles, line, panel, plain_log, plain_text, whole_ticks
 from vascval.report.style import MUTED
 from vascval.report.subject import Side, Subject
+
+if TYPE_CHECKING:
+    from vascval.morphometry import Analysis
 
 KEY_STATISTICS = (
     ("n_segments", "Number of vessels", "segments", "log"),

@@ -45,6 +45,7 @@ def panel(
             figure.legend(handles=list(legend), loc="outside lower left", ncols=columns)
         svg = io.BytesIO()
         figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
+        figure.set_layout_engine("none")  # both files are laid out alike, once
         with atomic_file(folder / f"{name}.png") as aside:
             figure.savefig(aside, format="png", dpi=200, metadata={"Software": None})
     with atomic_file(folder / f"{name}.svg") as aside:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from vascval.comparison import Comparison
-from vascval.imaging import Skeleton
 from vascval.io.documents import ReferenceTable
-from vascval.morphometry import Analysis
 from vascval.report.style import Series, styled
 from vascval.report.twin_section import Twin
+
+if TYPE_CHECKING:
+    from vascval.comparison import Comparison
+    from vascval.imaging import Skeleton
+    from vascval.morphometry import Analysis
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +83,6 @@ def of_analysis(analysis: Analysis, skeleton: Skeleton | None, provenance: Mappi
 
 
 def _side(look: Series, item: Analysis | ReferenceTable, short: str) -> Side:
-    if isinstance(item, Analysis):
-        return Side(look, item.source, item.generations, item, short)
-    return Side(look, item.source, item.generations, None, short, item.citation)
+    if isinstance(item, ReferenceTable):
+        return Side(look, item.source, item.generations, None, short, item.citation)
+    return Side(look, item.source, item.generations, item, short)
