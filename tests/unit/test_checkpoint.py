@@ -303,7 +303,7 @@ def test_a_geometry_that_is_interrupted_is_gone_on_with(tmp_path, monkeypatch):
         assert (tmp_path / "tree.vtp").read_bytes() == (tmp_path / "whole.vtp").read_bytes()
 
 
-def test_a_tree_that_cannot_be_written_is_not_lost(tmp_path, monkeypatch, capsys):
+def test_a_finished_tree_that_cannot_be_written_is_kept(tmp_path, monkeypatch, capsys):
     """The folder goes away while the tree grows: its checkpoint, in another place, holds all of it."""
     command = ["generate", "karch-box", "--set", "n_terminals=300", "--quiet"]
     assert main([*command, "-o", str(tmp_path / "whole.vtp")]) == 0
