@@ -154,6 +154,7 @@ def test_the_report_is_one_file_that_loads_nothing(made):
     assert page.count("data:image/svg+xml") == 7  # three totals and four statistics by generation
     assert "option gamma<" not in page and "option n_connections<" in page  # what is varied has no value of its own
     assert re.search(r">terminals</th>\s*(<td[^>]*>3</td>)\s*<td[^>]*>30 ± 0</td>(\s*<td[^>]*>30</td>){5}", page)
+    assert "Monopodial: radius at most 0.5 " in page and "connectivity matrix" not in page  # what it has is defined
 
 
 def test_a_second_call_makes_only_what_is_missing(made):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 MEASURED = (
     ("segment", "A vessel between two junctions, or between a junction and an end."),
     ("element", "A run of segments of equal order in series."),
@@ -46,7 +48,7 @@ MEASURED = (
     (
         "monopodial branch",
         "A child much thinner than its largest sibling that leaves sideways while the sibling goes straight "
-        "on, by the three thresholds stated above.",
+        "on, by three thresholds that stand where such branches are counted.",
     ),
     (
         "Horton ratio",
@@ -89,3 +91,12 @@ COMPARED = (
         "equal territories.",
     ),
 )
+
+
+def monopodial_rule(rule: Mapping[str, float]) -> str:
+    """The thresholds (:class:`vascval.morphometry.Monopodial`) in words."""
+    return (
+        f"Monopodial: radius at most {rule['ratio_max']:g} of the largest sibling, leaving at "
+        f"{rule['angle_min_deg']:g} to {rule['angle_max_deg']:g}° while that sibling goes on within "
+        f"{rule['straight_max_deg']:g}°."
+    )

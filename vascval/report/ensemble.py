@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ import pandas as pd
 from vascval.io.atomic import atomic_directory
 from vascval.io.documents import plain
 from vascval.io.tables import write_table
+from vascval.morphometry import Monopodial
 from vascval.report import ensemble_panels
-from vascval.report.definitions import MEASURED
+from vascval.report.definitions import MEASURED, monopodial_rule
 from vascval.report.ensemble_tables import Ensemble
 from vascval.report.formats import THIN, count, measure, missing, several, spread
 from vascval.report.origin_sections import origin_entries
@@ -39,10 +41,10 @@ _BY_GENERATION = {
     "length_mean_mm": "mean length (mm)",
     "branching_ratio_mean": "mean branching ratio",
 }
-_BOXES = (
-    "Boxes from the first to the third quartile with the median; whiskers to the last value within 1.5 box lengths, "
-    "rings beyond; cases from left to right in the order of the legend."
-)
+_DEFINED = (
+    "segment", "degenerate segment", "Strahler order", "generation", "branching ratio", "Murray exponent",
+    "branching angle", "length to diameter", "trifurcation", "monopodial branch", "overlapping pairs",
+)  # fmt: skip
 
 
 def document(ensemble: Ensemble) -> dict[str, Any]:
@@ -79,11 +81,11 @@ def write_ensemble_report(ensemble: Ensemble, directory: Path, *, provenance: Ma
             _generations(ensemble, figures),
             _trees(ensemble),
             Section("provenance", "Provenance", [Items(origin_entries(provenance))]),
-            Section("definitions", "Definitions", [Items(MEASURED)]),
+            Section("definitions", "Definitions", [Items([one for one in MEASURED if one[0] in _DEFINED])]),
         ]
         page = render(
             f"Ensemble of {several(len(ensemble.trees), 'tree')}",
-            "Trees that differ in their random numbers, and cases that differ in their parameters",
+            "Trees that differ in their random numbers" + (", and in parameters" if len(ensemble.cases) > 1 else ""),
             sections,
             version=str(provenance.get("version", "")),
             legend=[],
@@ -116,8 +118,16 @@ def _totals(ensemble: Ensemble, figures: Path) -> Section:
         rows = ensemble.totals[ensemble.totals["case"] == case].to_dict("records")
         body = [[Cell(_NAMES[row["measure"]], "head"), Cell(count(row["n_trees"])), *_cells(row)] for row in rows]
         tables.append(Table(f"{_named(case)}Totals over the trees.", [head], body, "tables/totals.csv"))
-    figure = Figure(f"A point per tree. {_BOXES}", ensemble_panels.totals(ensemble, figures))
-    return Section("totals", "Totals", [figure, *tables])
+    figure = Figure(f"A point per tree. {_boxes(ensemble)}", ensemble_panels.totals(ensemble, figures))
+    return Section("totals", "Totals", [figure, *tables, Text(monopodial_rule(asdict(Monopodial())))])
+
+
+def _boxes(ensemble: Ensemble) -> str:
+    order = "; cases from left to right in the order of the legend" if len(ensemble.cases) > 1 else ""
+    return (
+        "Boxes from the first to the third quartile with the median; whiskers to the last value within 1.5 box "
+        f"lengths, rings beyond{order}."
+    )
 
 
 def _cells(row: Mapping[Any, Any]) -> list[Cell]:
@@ -139,7 +149,7 @@ def _mean(row: Mapping[Any, Any]) -> str:
 
 def _generations(ensemble: Ensemble, figures: Path) -> Section:
     pictures = ensemble_panels.generations(ensemble, figures)
-    caption = f"Key statistics by generation over the trees. {_BOXES}"
+    caption = f"Key statistics by generation over the trees. {_boxes(ensemble)}"
     tables = [_generation_table(ensemble.generations, case) for case in ensemble.cases]
     return Section("generations", "By generation", [Figure(caption, pictures, two=True), *tables])
 

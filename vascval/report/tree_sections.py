@@ -10,6 +10,7 @@ import pandas as pd
 
 from vascval.comparison import Location
 from vascval.report import panels
+from vascval.report.definitions import monopodial_rule
 from vascval.report.formats import NONE, THIN, change, count, measure, missing, percent, several, spread
 from vascval.report.page import Cell, Figure, Items, Section, Table, Text
 from vascval.report.subject import Side, Subject
@@ -223,19 +224,13 @@ def junctions(subject: Subject, figures: Path) -> Section:
     title = "Trifurcations and monopodial branches"
     if not subject.measured:
         return Section("junctions", title, [Text("There is no measured tree.", "empty")])
-    rule = subject.measured[0][1].parameters["monopodial"]
-    usual = (
-        f"Monopodial: radius at most {rule['ratio_max']:g} of the largest sibling, leaving at "
-        f"{rule['angle_min_deg']:g} to {rule['angle_max_deg']:g}° while that sibling goes on within "
-        f"{rule['straight_max_deg']:g}°."
-    )
     moves = (
         "How the count of monopodial branches moves with its thresholds: with the ratio of radii along the axis, with "
         "the angle within which the sibling goes on (lines), and with the angle at which the branch leaves (bands: "
         "90 ± 20° to 90 ± 40°, the line 90 ± 30°). The upright line marks the ratio used; scales differ between trees."
     )
     blocks = [
-        Text(usual),
+        Text(monopodial_rule(subject.measured[0][1].parameters["monopodial"])),
         Figure("Trifurcations and monopodial branches per junction.", panels.junctions(subject, figures)),
         _junction_table(subject),
         Figure(moves, panels.sensitivity(subject, figures)),
