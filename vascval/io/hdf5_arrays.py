@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vascval.core.errors import InputError
-from vascval.io.stored_arrays import Stored, chosen, leading_ones, require_numbers
+from vascval.io.stored_arrays import Stored, chosen, leading_ones, reader, require_numbers, said
 
 SUFFIXES = (".h5", ".hdf5", ".hdf")
 _FAILURES = (OSError, RuntimeError, ValueError, KeyError, TypeError)
@@ -44,9 +44,7 @@ def open_array(path: Path, dataset: str | None) -> Stored:
         elsewhere = array.is_virtual or array.external
         shape, dtype, chunks = tuple(int(n) for n in array.shape), array.dtype, array.chunks
     except _FAILURES as error:
-        raise InputError(
-            f"{path}: cannot be read as HDF5 ({_said(error)}); it is damaged or of another kind"
-        ) from error
+        raise InputError(f"{path}: cannot be read as HDF5 ({said(error)}); it is damaged or of another kind") from error
     if elsewhere:
         raise InputError(f"{path}: keeps its values in other files; copy them into one (h5repack)")
     require_numbers(path, dtype)
@@ -57,18 +55,6 @@ def open_array(path: Path, dataset: str | None) -> Stored:
             raise InputError(f"{path}: element_size_um is {size_um!r}; three numbers z, y, x are needed")
         spacing = np.asarray(size_um, dtype=np.float64)[::-1] / 1000.0
 
-    def read(z0: int, z1: int, y0: int, y1: int) -> np.ndarray:
-        try:
-            values = array[(0,) * extra + (slice(z0, z1), slice(y0, y1))]
-        except _FAILURES as error:
-            where = f"slices {z0} to {z1 - 1}"
-            raise InputError(f"{path}: {where} cannot be read ({_said(error)}); the file is damaged") from error
-        return values.astype(dtype.newbyteorder("="), copy=False)
-
     nz, ny, nx = shape[extra:]
     chunk = (1, 1) if chunks is None else (chunks[extra], chunks[extra + 1])
-    return Stored("HDF5", (nz, ny, nx), dtype, chunk, read, spacing, np.zeros(3))
-
-
-def _said(error: BaseException) -> str:
-    return " ".join(str(error).split())[:160]
+    return Stored("HDF5", (nz, ny, nx), dtype, chunk, reader(path, array, extra, _FAILURES), spacing, np.zeros(3))

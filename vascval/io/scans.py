@@ -113,10 +113,8 @@ def open_scan(
         raise InputError(f"{path}: is neither zarr nor HDF5 and has one data set only; leave out --dataset")
     described = describe(path, given)
     flat = described.header.flat
-    if flat is None:
-        return read_volume(path, spacing_mm=spacing_mm, max_memory_bytes=max_memory_bytes)
-    raster = flat_files.frame(path, described.files[0], described.header)
-    if raster is None:
+    raster = None if flat is None else flat_files.frame(path, described.files[0], described.header)
+    if flat is None or raster is None:
         return read_volume(path, spacing_mm=spacing_mm, max_memory_bytes=max_memory_bytes)
     packed = flat.packed_at is not None
     read = (packed_files.PackedReader if packed else flat_files.FlatReader)(path, flat)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,3 +59,25 @@ def chosen(path: Path, names: Sequence[str], dataset: str | None) -> str:
     if len(names) > 1:
         raise InputError(f"{path}: holds the arrays {listed}; choose one with --dataset")
     return names[0]
+
+
+def reader(
+    path: Path, array: Any, extra: int, failures: tuple[type[BaseException], ...]
+) -> Callable[[int, int, int, int], np.ndarray]:
+    """Reads an ``array`` of the library as a scan does, without its first ``extra`` axes; its ``failures`` are told."""
+    native = np.dtype(array.dtype).newbyteorder("=")
+
+    def read(z0: int, z1: int, y0: int, y1: int) -> np.ndarray:
+        try:
+            values = array[(0,) * extra + (slice(z0, z1), slice(y0, y1))]
+        except failures as error:
+            where, what = f"slices {z0} to {z1 - 1}", "folder" if path.is_dir() else "file"
+            raise InputError(f"{path}: {where} cannot be read ({said(error)}); the {what} is damaged") from error
+        return np.asarray(values).astype(native, copy=False)
+
+    return read
+
+
+def said(error: BaseException) -> str:
+    """An error of the library in a line."""
+    return " ".join(str(error).split())[:160] or type(error).__name__

@@ -1,7 +1,8 @@
 """Volumes: reading and writing images in three dimensions with their place in the world.
 
-SimpleITK reads and writes all but MetaImage; headers are checked before it is let near a file
-(:mod:`vascval.io.image_headers`), and the memory that the voxels need is known before they are read.
+Headers are checked (:mod:`vascval.io.image_headers`) before SimpleITK is let near a file, and the memory that the
+voxels need is known before they are read. MetaImage, zarr, HDF5 and the values of NIfTI without a scale are read
+without it.
 """
 
 from __future__ import annotations

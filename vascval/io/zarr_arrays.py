@@ -17,7 +17,7 @@ import numpy as np
 
 from vascval.core.errors import InputError
 from vascval.core.units import MM_PER
-from vascval.io.stored_arrays import Stored, chosen, leading_ones, require_numbers
+from vascval.io.stored_arrays import Stored, chosen, leading_ones, reader, require_numbers, said
 
 _V2_CODECS = {"blosc", "zlib", "gzip", "zstd", "lz4", "lzma", "bz2", "delta", "shuffle", "bitround", "packbits"}
 _V3_CODECS = {"bytes", "blosc", "gzip", "zstd", "crc32c", "transpose", "sharding_indexed"}
@@ -57,24 +57,15 @@ def open_array(path: Path, dataset: str | None) -> Stored:
         array = zarr.open_array(str(place), mode="r")
         shape, dtype, chunks = tuple(int(n) for n in array.shape), np.dtype(array.dtype), tuple(array.chunks)
     except _FAILURES as error:
-        raise InputError(
-            f"{path}: cannot be read as zarr ({_said(error)}); it is damaged or of another kind"
-        ) from error
+        raise InputError(f"{path}: cannot be read as zarr ({said(error)}); it is damaged or of another kind") from error
     require_numbers(path, dtype)
     extra = leading_ones(path, shape)
     spacing, origin = (None, np.zeros(3)) if scale is None else _frame(path, scale, len(shape))
 
-    def read(z0: int, z1: int, y0: int, y1: int) -> np.ndarray:
-        try:
-            values = array[(0,) * extra + (slice(z0, z1), slice(y0, y1))]
-        except _FAILURES as error:
-            where = f"slices {z0} to {z1 - 1}"
-            raise InputError(f"{path}: {where} cannot be read ({_said(error)}); the folder is damaged") from error
-        return np.asarray(values).astype(dtype.newbyteorder("="), copy=False)
-
     nz, ny, nx = shape[extra:]
     kind = "zarr" if scale is None else "OME-Zarr"
-    return Stored(kind, (nz, ny, nx), dtype, (chunks[extra], chunks[extra + 1]), read, spacing, origin)
+    chunk = (chunks[extra], chunks[extra + 1])
+    return Stored(kind, (nz, ny, nx), dtype, chunk, reader(path, array, extra, _FAILURES), spacing, origin)
 
 
 def _metadata(file: Path) -> dict[str, Any]:
@@ -86,7 +77,7 @@ def _metadata(file: Path) -> dict[str, Any]:
             raise ValueError("too long")
         value = json.loads(file.read_text("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{file}: is no zarr metadata ({_said(error)}); the folder is damaged") from error
+        raise InputError(f"{file}: is no zarr metadata ({said(error)}); the folder is damaged") from error
     if not isinstance(value, dict):
         raise InputError(f"{file}: is no zarr metadata (no object); the folder is damaged")
     return value
@@ -197,7 +188,3 @@ def _frame(path: Path, image: Mapping[str, Any], n_axes: int) -> tuple[np.ndarra
     if not all(map(math.isfinite, shift)):
         raise damaged
     return (scale[-3:] * mm)[::-1].copy(), (shift[-3:] * mm)[::-1].copy()
-
-
-def _said(error: BaseException) -> str:
-    return " ".join(str(error).split())[:160] or type(error).__name__
