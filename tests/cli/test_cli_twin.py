@@ -38,7 +38,7 @@ def block(path, low, high, *, label: int = 1, spacing: float = 0.5):
 @pytest.fixture
 def unreported(monkeypatch):
     """No report, which takes longer than all else."""
-    monkeypatch.setattr("vascval.report.write_compare_report", lambda *args, **options: None)
+    monkeypatch.setattr("vascval.report.write.write_compare_report", lambda *args, **options: None)
 
 
 @pytest.fixture

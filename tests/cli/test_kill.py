@@ -114,7 +114,7 @@ def twins_after_kills(folder, cast, n_kills, rng):
 
 def test_a_killed_twin_is_resumed(tmp_path, cast_file, monkeypatch):
     """Without the report, which takes longer than all else; the process that is killed would make it."""
-    monkeypatch.setattr("vascval.report.write_compare_report", lambda *args, **options: None)
+    monkeypatch.setattr("vascval.report.write.write_compare_report", lambda *args, **options: None)
     assert twins_after_kills(tmp_path, cast_file, 2, np.random.default_rng(1)) >= 1
 
 
