@@ -143,7 +143,10 @@ def _descend(model: Model, position: np.ndarray, tolerance: float, max_steps: in
 def _settle(
     model: Model, position: np.ndarray, cost: float, gradient: np.ndarray, tolerance: float, rounds: int
 ) -> tuple[float, np.ndarray]:
-    """Move nodes out of balance, if they are few, in place, and those that come to be so by it; cost and gradient."""
+    """Move nodes out of balance, if they are few, in place, and those that come to be so by it; cost and gradient.
+
+    A part is settled in the same way, so that it must be smaller: on long ways to the root it may not be.
+    """
     late = np.zeros(position.shape[0], bool)
     for _ in range(rounds if late.size >= _LARGE else 0):
         more = model.imbalance(gradient) > tolerance
@@ -151,6 +154,8 @@ def _settle(
         if not more.any() or late.sum() * _FEW > late.size or (found := model.around(late)) is None:
             break
         nodes, part = found
+        if 2 * nodes.size > late.size:
+            break
         moved = _descend(part, position[nodes], 0.3 * tolerance, _PART_STEPS)
         position[nodes] = moved.position
         cost, gradient = model.cost(position), model.gradient(position)

@@ -62,8 +62,11 @@ def test_a_part_changes_as_the_whole_does(seed, hops, gammas, n_fixed, shortest)
             model, position = part, moved[nodes]
 
 
-def test_parts_lead_to_the_optimum_of_the_whole(monkeypatch):
-    problem = problem_of(grown(700, 3), l_min_mm=0.3)
+@pytest.mark.parametrize(("n", "large", "few"), [(40, 20, 5), (700, reduced._LARGE, reduced._FEW)])
+def test_parts_lead_to_the_optimum_of_the_whole(n, large, few, monkeypatch):
+    problem = problem_of(grown(n, 3), l_min_mm=0.3)
+    monkeypatch.setattr(reduced, "_LARGE", large)
+    monkeypatch.setattr(reduced, "_FEW", few)
     with_parts = solve_reduced(problem)
     monkeypatch.setattr(reduced, "_LARGE", 10**9)
     whole = solve_reduced(problem)
