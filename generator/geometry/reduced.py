@@ -154,7 +154,7 @@ def _settle(
         if not more.any() or late.sum() * _FEW > late.size or (found := model.around(late)) is None:
             break
         nodes, part = found
-        if 2 * nodes.size > late.size:
+        if 10 * nodes.size > 9 * late.size:
             break
         moved = _descend(part, position[nodes], 0.3 * tolerance, _PART_STEPS)
         position[nodes] = moved.position
