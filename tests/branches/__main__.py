@@ -58,7 +58,8 @@ ROOMS = {
     ],
     "generator.geometry": [
         SMALL, *(f"tests/unit/test_geometry_{name}.py" for name in ("cases", "refusals")),
-        "-k", "not optimised_trees",
+        "tests/oracle/test_geometry_parts.py",
+        "-k", "not optimised_trees and not 700-",
     ],
     "generator.topology": [
         SMALL, "tests/unit/test_topology_annealing.py", "tests/oracle/test_topology_oracles.py",
