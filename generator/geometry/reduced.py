@@ -133,7 +133,8 @@ def _descend(model: Model, position: np.ndarray, tolerance: float, max_steps: in
                 break
             length *= 0.5
             if length < 1e-9:
-                model.cost(position), model.gradient(position)
+                model.cost(position)
+                model.gradient(position)
                 return _Descent(position, taken, residual)
         position, cost = trial, lower
         gradient = model.gradient(position)
