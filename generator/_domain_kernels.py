@@ -19,7 +19,8 @@ class Space(NamedTuple):
     """``state`` (nx, ny, nz) uint8; ``to_cell`` (3, 4) world to cell coordinates (cell ``i`` spans ``i`` to ``i + 1``);
     triangles of cell ``c`` (C order): ``wall[offset[c]:offset[c + 1]]`` into ``triangle`` (K, 3, 3) world points.
 
-    ``convex`` spares all of it: between two points of a convex domain everything is inside.
+    ``convex`` spares all of it: between two points of a convex domain everything is inside. It is one cell then, and
+    what is in the cell is inside.
     """
 
     convex: bool
@@ -72,9 +73,12 @@ def first_crossing(start, step):
 @njit
 def segment_inside(space, ax, ay, az, bx, by, bz):
     """Is the straight segment from ``a``, which is inside, to ``b`` inside? Walks through the cells that it crosses."""
-    if space.convex:
-        return True
     m = space.to_cell
+    if space.convex:
+        x = m[0, 0] * bx + m[0, 1] * by + m[0, 2] * bz + m[0, 3]
+        y = m[1, 0] * bx + m[1, 1] * by + m[1, 2] * bz + m[1, 3]
+        z = m[2, 0] * bx + m[2, 1] * by + m[2, 2] * bz + m[2, 3]
+        return min(x, y, z) >= -GRAZE and max(x, y, z) <= 1.0 + GRAZE
     dx, dy, dz = bx - ax, by - ay, bz - az
     sx = m[0, 0] * ax + m[0, 1] * ay + m[0, 2] * az + m[0, 3]
     sy = m[1, 0] * ax + m[1, 1] * ay + m[1, 2] * az + m[1, 3]

@@ -87,7 +87,8 @@ class Box(Domain):
 
     @cached_property
     def space(self) -> Space:
-        return convex_space()
+        size = self.upper_mm - self.lower_mm
+        return convex_space(np.column_stack([np.diag(1.0 / size), -self.lower_mm / size]))
 
     def contains(self, points_mm: np.ndarray) -> np.ndarray:
         points = _points(points_mm)
@@ -103,9 +104,9 @@ class Box(Domain):
         return self.lower_mm + rng.random((count, 3)) * (self.upper_mm - self.lower_mm)
 
 
-def convex_space() -> Space:
-    """A domain of which every two points see each other."""
+def convex_space(to_cell: np.ndarray | None = None) -> Space:
+    """A domain of which every two points see each other: one cell, or all space where it is not given."""
     return Space(
-        True, np.ones((1, 1, 1), np.uint8), np.zeros((3, 4)), np.zeros(2, np.int64), np.zeros(0, np.int32),
-        np.zeros((0, 3, 3)),
+        True, np.ones((1, 1, 1), np.uint8), np.zeros((3, 4)) if to_cell is None else to_cell, np.zeros(2, np.int64),
+        np.zeros(0, np.int32), np.zeros((0, 3, 3)),
     )  # fmt: skip

@@ -45,13 +45,14 @@ class Admission:
 
     @property
     def always(self) -> bool:
-        """Whether there is nothing to check: a node's optimum lies in the convex hull of its neighbours."""
+        """Whether there is nothing to mend: without bounds on lengths, which may not fit in, a node's optimum lies in
+        the convex hull of its neighbours."""
         return self.apart == 0.0 and (self.domain is None or self.domain.space.convex)
 
     def offending(self, problem: Problem, tree: Tree) -> np.ndarray:
         """(N,) bool: free segments that are not wholly inside or overlap another; the root tree may lie outside."""
         marked = np.zeros(tree.n_nodes, dtype=bool)
-        if self.domain is not None and not self.domain.space.convex:
+        if self.domain is not None:
             marked[1:] = ~inside_along(self.domain.space, tree.position_mm[tree.parent[1:]], tree.position_mm[1:])
         if self.apart > 0.0:
             start, end = tree.position_mm[tree.parent], tree.position_mm

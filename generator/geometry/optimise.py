@@ -42,9 +42,20 @@ def optimise(
     ``splitting``: junctions whose splitting pays to first order are split, and what comes of it is kept if it is
     better.
 
-    :raises ComputationError: when a solver fails, or the tree is not admissible at the start.
+    :raises ComputationError: when a solver fails, or the tree is not admissible at the start or at the end.
     """
     admission = admission or Admission()
+    solution = _optimised(problem, solver, admission, contract, splitting)
+    bad = np.flatnonzero(admission.offending(solution.problem, solution.tree))
+    if bad.size:
+        raise ComputationError(
+            f"{bad.size} segments leave the domain once the geometry is optimised (first: segment {bad[0]}): segments "
+            f"of {problem.physics.l_min_mm:g} mm or more do not fit everywhere; lower geometry.l_min_mm"
+        )
+    return solution
+
+
+def _optimised(problem: Problem, solver: Solver, admission: Admission, contract: bool, splitting: bool) -> Solution:
     if not contract:
         return admitted(problem, admission, _solver(solver, _COLD))
     close, fine = (_solver(solver, options) for options in (_CLOSE, _FINE))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from generator.config import load
+from generator.framework import Run
 from generator.geometry.admission import Admission
 from generator.geometry.full_space import FullOptions, solve_full
 from generator.geometry.optimise import optimise
@@ -94,6 +95,13 @@ def test_a_tree_that_offends_at_the_start():
     problem = problem_of(grown(400))
     with pytest.raises(ComputationError, match="leave the domain or overlap others before the geometry is optimised"):
         optimise(problem, admission=Admission(apart=1.0))
+
+
+def test_lengths_that_push_out_of_the_domain():
+    """In a box 16 mm high; without them, nodes lie between their neighbours."""
+    run = Run.of(load("karch-box", ["n_terminals=30", "method=geometry", "geometry.l_min_mm=20"]))
+    with pytest.raises(ComputationError, match=r"segments leave the domain .* lower geometry\.l_min_mm"):
+        list(run.steps())
 
 
 def test_radii_beyond_the_formula_of_viscosity():
