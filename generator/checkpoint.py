@@ -19,7 +19,10 @@ import numpy as np
 
 from vascval.core.errors import InputError
 from vascval.io.atomic import atomic_file
+from vascval.io.provenance import code_sha256
 
+CODE_SHA256 = code_sha256()
+"""Of the sources as this is imported, when a run begins; they may change while it lasts."""
 _MAGIC = b"vascval checkpoint 1\n"
 _DIGEST = hashlib.sha256().digest_size
 _TYPES = ("|u1", "|i1", "|b1", "<i4", "<i8", "<u8", "<f8")
@@ -43,7 +46,8 @@ def write(path: Path, state: State, origin: Mapping[str, Any]) -> None:
     """
     arrays = {name: np.ascontiguousarray(array) for name, array in state.arrays.items()}
     listed = [[name, array.dtype.newbyteorder("<").str, array.shape] for name, array in arrays.items()]
-    header = {"origin": origin, "config_sha256": _config_hash(origin), "record": state.record, "arrays": listed}
+    hashes = {"code_sha256": CODE_SHA256, "config_sha256": _config_hash(origin)}
+    header = {"origin": origin, **hashes, "record": state.record, "arrays": listed}
     text = json.dumps(header, allow_nan=False).encode()
     digest = hashlib.sha256()
     with atomic_file(path) as aside, aside.open("wb") as stream:
@@ -57,12 +61,12 @@ def write(path: Path, state: State, origin: Mapping[str, Any]) -> None:
 
 
 def read(path: Path, origin: Mapping[str, Any]) -> State:
-    """The state in a checkpoint of the same configuration, inputs and version as ``origin``.
+    """The state in a checkpoint of the same configuration, inputs and version as ``origin``, and the same sources.
 
     :raises InputError: when it is another's, no checkpoint, or damaged; the reason is given.
     """
     header, body = _unpacked(path)
-    _require_same(path, header["origin"], origin, header["config_sha256"])
+    _require_same(path, header, origin)
     return State(header["record"], _arrays(path, header["arrays"], body))
 
 
@@ -114,14 +118,20 @@ def _arrays(path: Path, listed: list[Any], body: memoryview) -> dict[str, np.nda
     return arrays
 
 
-def _require_same(path: Path, kept: Mapping[str, Any], wanted: Mapping[str, Any], config_sha256: str) -> None:
-    """:raises InputError: when a checkpoint comes from another version or configuration."""
+def _require_same(path: Path, header: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """:raises InputError: when a checkpoint comes from another version, other sources or another configuration."""
+    kept = header["origin"]
     if kept.get("version") != wanted["version"]:
         raise InputError(
             f"{path}: was written by vascval {kept.get('version')} and this is {wanted['version']}, which need not go "
             "on to the same tree; resume with the other or begin anew"
         )
-    if config_sha256 == _config_hash(wanted):
+    if header.get("code_sha256") != CODE_SHA256:
+        raise InputError(
+            f"{path}: was written by vascval {wanted['version']} with other sources than this one has, which need not "
+            "go on to the same tree; resume with those or begin anew"
+        )
+    if header["config_sha256"] == _config_hash(wanted):
         return
     old, new = (_flat(_without_files(origin.get("config", {}))) for origin in (kept, wanted))
     differences = [

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from generator.ensemble.plan import Order, Plan, digest
+from generator.ensemble.plan import CODE, Order, Plan, digest
 from generator.ensemble.work import Failed, Grown
 from vascval.core.errors import InputError
 from vascval.io.atomic import atomic_file
@@ -137,6 +137,8 @@ def _difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
         return "its checksum is not that of its configuration"
     key = keys[0]
     more = f" ({len(keys) - 1} more)" if len(keys) > 1 else ""
+    if key == CODE:
+        return f"its trees were made by other sources of vascval {now['version']}{more}"
     if str(now.get(key)).startswith("sha256 ") and str(before.get(key)).startswith("sha256 "):
         return f"the file of {key} was another one{more}"
     return f"{key} was {before.get(key, 'not known')} and is {now.get(key, 'not known')}{more}"

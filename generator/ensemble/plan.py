@@ -14,8 +14,9 @@ from typing import Any
 import vascval
 from generator.config import Config, load
 from vascval.core.errors import InputError
-from vascval.io.provenance import sha256
+from vascval.io.provenance import code_sha256, sha256
 
+CODE = "code"
 FILES = ("domain.file", "root_tree", "terminals_file")
 
 
@@ -77,13 +78,15 @@ def plan(name: str, changes: Sequence[str], vary: Sequence[str], n_seeds: int) -
 
 
 def identity(config: Config, known: dict[Path, str] | None = None) -> dict[str, Any]:
-    """What decides a tree as flat JSON values: the version, every key, and checksums in place of files' names.
+    """What decides a tree as flat JSON values: the version and its sources, every key, and checksums in place of
+    files' names.
 
     :param known: checksums of files already read, added to.
     :raises InputError: when a file cannot be read.
     """
     known = {} if known is None else known
-    flat = {"version": vascval.__version__, **flattened(config.model_dump(mode="json"))}
+    program = {"version": vascval.__version__, CODE: f"sha256 {code_sha256()}"}
+    flat = {**program, **flattened(config.model_dump(mode="json"))}
     for key in FILES:
         if flat.get(key) is not None:
             path = Path(flat[key])

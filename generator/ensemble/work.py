@@ -16,13 +16,13 @@ from numba.core import event
 
 import vascval
 from generator.config import Config
-from generator.ensemble.plan import Order, identity
+from generator.ensemble.plan import CODE, Order, identity
 from generator.framework import Run, read_points
 from vascval.core.errors import InputError, VascvalError
 from vascval.core.threads import VARIABLE
 from vascval.core.tree import Tree
 from vascval.core.validation import Claims
-from vascval.io.provenance import provenance
+from vascval.io.provenance import code_sha256, provenance
 from vascval.io.trees import write_tree
 
 Measure = Callable[[Tree, str], dict[str, Any]]
@@ -143,6 +143,11 @@ def _found(order: Order, folder: Path) -> Config:
         raise InputError(
             f"the worker on {socket.gethostname()} has vascval {vascval.__version__}, not {order.identity['version']}; "
             "install the same version"
+        )
+    if order.identity[CODE] != f"sha256 {code_sha256()}":
+        raise InputError(
+            f"the worker on {socket.gethostname()} has other sources of vascval {vascval.__version__}; install the "
+            "same, and start the worker anew"
         )
     config = order.config
     files = {name: folder / path for name in ("root_tree", "terminals_file") if (path := getattr(config, name))}

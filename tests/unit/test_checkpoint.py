@@ -118,6 +118,12 @@ def test_another_version_is_refused(half, capsys, monkeypatch):
     assert "was written by vascval" in capsys.readouterr().err
 
 
+def test_another_state_of_the_same_version_is_refused(half, capsys, monkeypatch):
+    monkeypatch.setattr("generator.checkpoint.CODE_SHA256", "0" * 64)
+    assert refused(half[0]) == 2
+    assert "with other sources than this one has" in capsys.readouterr().err
+
+
 def test_other_content_of_an_input_is_refused_and_another_place_is_not(tmp_path):
     changes = files(tmp_path, ["terminals_file={folder}/points.csv"])
     run = begun(changes)

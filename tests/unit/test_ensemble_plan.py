@@ -154,6 +154,13 @@ def test_another_file_or_version_is_refused(tmp_path, monkeypatch):
         reread(tmp_path, plan("karch-box", (f"terminals_file={points}",), (), 1))
 
 
+def test_trees_of_other_sources_are_not_mixed(tmp_path, monkeypatch):
+    kept(tmp_path, plan("karch-box", SMALL, (), 1), [grown()])
+    monkeypatch.setattr("generator.ensemble.plan.code_sha256", lambda: "0" * 64)
+    with pytest.raises(InputError, match=r"another ensemble: its trees were made by other sources of vascval .* -o"):
+        reread(tmp_path, plan("karch-box", SMALL, (), 1))
+
+
 @pytest.mark.parametrize("text", ["", "{}", "[1]", "not json", '{"version": "1"}'])
 def test_what_is_no_manifest(text, tmp_path):
     (tmp_path / "manifest.json").write_text(text)

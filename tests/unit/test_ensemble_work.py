@@ -109,6 +109,9 @@ def test_workers_are_of_the_same_version(tmp_path):
     newer = Order(order.name, order.case, order.config, {**order.identity, "version": "99"})
     result = make(newer, str(tmp_path), volume, lambda _: None)
     assert isinstance(result, Failed) and "has vascval" in result.reason and "not 99" in result.reason
+    other = Order(order.name, order.case, order.config, {**order.identity, "code": "sha256 0"})
+    result = make(other, str(tmp_path), volume, lambda _: None)
+    assert isinstance(result, Failed) and "has other sources of vascval" in result.reason
 
 
 def test_a_worker_lost_costs_its_own_tree(client):

@@ -23,7 +23,7 @@ class ManifestTree(Document):
     name: str = _f("of its files under trees, without suffix")
     case: str = _f("the keys in which its configuration differs from the common one; empty without a grid")
     seed: int = _f("seed of its random numbers")
-    config_sha256: str = _f("checksum of what decides the tree: version, configuration, contents of input files")
+    config_sha256: str = _f("checksum of what decides the tree: program, configuration, contents of input files")
     state: State = _f("whether it is there")
     sha256: str | None = _f("checksum of the tree's file", default=None)
     measures_sha256: str | None = _f("checksum of the JSON file beside it", default=None)
@@ -37,7 +37,7 @@ class ManifestDocument(Document):
 
     version: str = _f("of the program")
     config_sha256: str = _f("checksum of config")
-    config: dict[str, Any] = _f("common to all trees: flat keys, checksums in place of input files, no seed")
+    config: dict[str, Any] = _f("common to all trees: flat keys without seed, checksums of input files and sources")
     trees: list[ManifestTree]
 
 
