@@ -52,9 +52,10 @@ ROOMS = {
         "not volume_contains and not segments_are and not distance_to_the_wall and not shapes_have",
     ],
     "generator.growth": [
-        SMALL, "tests/unit/test_generator_growth.py", "tests/unit/test_checkpoint.py",
+        SMALL, *(f"tests/unit/test_{name}.py" for name in ("growth_cases", "generator_growth", "checkpoint")),
         "tests/oracle/test_generator_oracles.py",
-        "-k", "small_trees or unsound or one_junction or sense or bad_input or reached or fermat or distance_between",
+        "-k", "small_trees or growth_cases or unsound or one_junction or sense or bad_input or reached or fermat or "
+        "distance_between",
     ],
     "generator.geometry": [
         SMALL, *(f"tests/unit/test_geometry_{name}.py" for name in ("cases", "refusals")),
