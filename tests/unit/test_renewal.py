@@ -9,7 +9,7 @@ from tests.benchmarks.phantoms import phantom
 from vascval.imaging import graph
 from vascval.imaging import runs as run_code
 from vascval.imaging.distance import distance_map
-from vascval.imaging.refine import refine
+from vascval.imaging.refine import draw, refine
 from vascval.imaging.renewal import renew
 from vascval.imaging.selection import select
 from vascval.imaging.thinning import thin
@@ -33,10 +33,10 @@ def test_renewed_branches_are_those_of_a_whole_refinement(kind: str) -> None:
     ends = np.searchsorted(skeleton.voxel, tips.voxel)
     order, parent = graph.rooted(skeleton, graph.thickest_end(skeleton, ends, thickness))
     tree = graph.branches(order, parent, ends)
-    whole = refine(voxels, tree, skeleton.voxel, thickness)
+    whole = refine(voxels, tree, draw(voxels, tree, skeleton.voxel, thickness))
     for bump in np.searchsorted(skeleton.voxel, wall):
         before = graph.branches(order, parent, np.append(ends, bump))
-        known = refine(voxels, before, skeleton.voxel, thickness)
+        known = refine(voxels, before, draw(voxels, before, skeleton.voxel, thickness))
         assert before.n > tree.n
         found = renew(voxels, tree, skeleton.voxel, thickness, before, known)
         assert found.offset[-1] == len(found.point_mm)

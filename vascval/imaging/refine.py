@@ -56,17 +56,24 @@ class _Fit:
     weight: np.ndarray
 
 
-def refine(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thickness_mm: np.ndarray) -> Refined:
-    """Refine a tree of voxel chains.
+def draw(voxels: Voxels, tree: Branches, skeleton_voxel: np.ndarray, thickness_mm: np.ndarray) -> Refined:
+    """The first guess for a whole tree of voxel chains.
 
     :param skeleton_voxel: (k,) voxel of each skeleton point.
     :param thickness_mm: (n,) distance map.
     """
-    fixed, clear_mm = np.zeros(tree.n + 1, dtype=bool), np.zeros((tree.n, 2))
-    nodes = Nodes(tree.parent.astype(np.int64) + 1, np.arange(tree.n) + 1, fixed, clear_mm)
     chains = [tree.chain(b) for b in range(tree.n)]
-    drawn = first_guess(voxels, nodes, chains, skeleton_voxel, thickness_mm)
-    return rounds(voxels, nodes, drawn, np.full(voxels.n, -1, dtype=np.int32), tree.last)
+    return first_guess(voxels, _nodes(tree), chains, skeleton_voxel, thickness_mm)
+
+
+def refine(voxels: Voxels, tree: Branches, drawn: Refined) -> Refined:
+    """Refine a tree that was drawn by :func:`draw`."""
+    return rounds(voxels, _nodes(tree), drawn, np.full(voxels.n, -1, dtype=np.int32), tree.last)
+
+
+def _nodes(tree: Branches) -> Nodes:
+    fixed, clear_mm = np.zeros(tree.n + 1, dtype=bool), np.zeros((tree.n, 2))
+    return Nodes(tree.parent.astype(np.int64) + 1, np.arange(tree.n) + 1, fixed, clear_mm)
 
 
 def rounds(voxels: Voxels, nodes: Nodes, drawn: Refined, label: np.ndarray, last: np.ndarray) -> Refined:

@@ -19,7 +19,7 @@ from vascval.imaging.distance import distance_map
 from vascval.imaging.first_guess import Refined
 from vascval.imaging.graph import Branches, Loops, SkeletonGraph
 from vascval.imaging.memory import Budget, budget
-from vascval.imaging.refine import refine
+from vascval.imaging.refine import draw, refine
 from vascval.imaging.renewal import renew
 from vascval.imaging.runs import Runs
 from vascval.imaging.selection import select
@@ -229,20 +229,27 @@ class _Fitted:
 
 
 def _fit(voxels: Voxels, drawn: _Drawn, thickness: np.ndarray) -> _Fitted:
-    """Refine, drop the terminals that end inside the vessel they spring from, and refine there until none does."""
+    """Draw, drop the terminals that end inside the vessel they spring from until none does, refine, and drop those
+    that are seen only now, refining there."""
     ends, voxel = drawn.ends, drawn.skeleton.voxel
     spurs: list[int] = []
     tree = graph.branches(drawn.order, drawn.parent, ends)
-    geometry = refine(voxels, tree, voxel, thickness)
+    geometry, is_refined = draw(voxels, tree, voxel, thickness), False
     while True:
         spur = _spurs(tree, geometry)
-        if spur.size == 0 or spur.size == ends.size:
+        if 0 < spur.size < ends.size:
+            gone = tree.last[spur]
+            spurs.extend(gone.tolist())
+            ends = np.setdiff1d(ends, gone)
+            before, tree = tree, graph.branches(drawn.order, drawn.parent, ends)
+            if is_refined:
+                geometry = renew(voxels, tree, voxel, thickness, before, geometry)
+            else:
+                geometry = draw(voxels, tree, voxel, thickness)
+        elif is_refined:
             return _Fitted(tree, geometry, voxel[np.array(spurs, dtype=np.int64)])
-        gone = tree.last[spur]
-        spurs.extend(gone.tolist())
-        ends = np.setdiff1d(ends, gone)
-        before, tree = tree, graph.branches(drawn.order, drawn.parent, ends)
-        geometry = renew(voxels, tree, voxel, thickness, before, geometry)
+        else:
+            geometry, is_refined = refine(voxels, tree, geometry), True
 
 
 def _spurs(tree: Branches, geometry: Refined) -> np.ndarray:
