@@ -1,6 +1,8 @@
 """Bad input through the command line: one line that names the file, exit code 2, and nothing written."""
 
 import gzip
+import json
+import os
 import struct
 
 import numpy as np
@@ -59,6 +61,10 @@ def background(folder, mask):
     return write_nrrd(folder / "bad.nrrd", np.zeros_like(mask))
 
 
+def inverted(folder, mask):
+    return write_nrrd(folder / "bad.nrrd", 1 - mask)
+
+
 def detached_outside(folder, mask):
     (folder / "secret.raw").write_bytes(mask.tobytes())
     (folder / "sub").mkdir()
@@ -91,6 +97,7 @@ VOLUMES = {
     four_dimensional: "three axes are needed",
     not_a_number: r"voxel (1, 2, 3) is nan",
     background: "background",
+    inverted: "inverted",
     detached_outside: "outside its folder",
     absurd_spacing: "absurd",
     bomb: "--max-memory",
@@ -146,6 +153,24 @@ def test_label_that_is_not_there_lists_those_that_are(tmp_path, mask, capsys):
     path = write_nrrd(tmp_path / "labels.nrrd", mask * np.uint8(5) + (mask == 0) * np.uint8(9))
     line = run(["analyze", path, "--label", "7"], capsys)
     assert "5" in line.split("label 7")[1] and "9" in line.split("label 7")[1]
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        ("cast", ""),
+        ("inverted", "96% of the image is taken for vessels; if the mask is inverted, choose its other value"),
+        ("lump", "of the volume of the voxels, so that these are hardly tubes"),
+    ],
+)
+def test_what_is_hardly_a_cast_is_doubted(shape, said, tmp_path, mask, capsys):
+    distance = np.linalg.norm(np.indices((40, 40, 40)) - 20, axis=0)
+    values = {"cast": mask, "inverted": 1 - mask[14:], "lump": (distance < 14).astype(np.uint8)}
+    path = write_nrrd(tmp_path / "volume.nrrd", values[shape])
+    assert main(["analyze", str(path), "--json", str(tmp_path / "out.json")]) == 0
+    notes = capsys.readouterr().err
+    assert said in notes and (notes != "") == (said != "")
+    assert said in "".join(json.loads((tmp_path / "out.json").read_text())["image"]["notes"])
 
 
 HOSTILE = """<?xml version="1.0"?>
@@ -227,6 +252,12 @@ def test_missing_file(arguments, tmp_path, cast_file, tree_file, capsys, monkeyp
         (["analyze", "{tree}", "--json", "{tree}"], "{tree}: is an input and would be overwritten; "),
         (["compare", "{cast}", "{tree}", "-o", "{cast}"], "{cast}: is a file, not a directory; "),
         (["compare", "{cast}", "{tree}", "--json", "nowhere/x.json"], "nowhere/x.json: "),
+        (["skeletonize", "{cast}", "-o", "new.vtp", "--json", "new.vtp"], "new.vtp: is asked for as two outputs; "),
+        (
+            ["analyze", "{cast}", "--json", "pipe"],
+            "pipe: is a device or a pipe, which a file would ",
+        ),
+        (["generate", "karch-box", "-o", "pipe.vtp"], "pipe.vtp: is a device or a pipe, "),
         (["view", "{tree}", "--screenshot", "out.jpg"], "out.jpg does not end in .png"),
         (["demo", "-o", "{tree}"], "{tree}: is a file, not a directory; "),
         (["schema", "nonsense"], "nonsense"),
@@ -235,6 +266,8 @@ def test_missing_file(arguments, tmp_path, cast_file, tree_file, capsys, monkeyp
 def test_wrong_use(arguments, message, tmp_path, cast_file, tree_file, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.vtp").mkdir()
+    for name in ("pipe", "pipe.vtp"):
+        os.mkfifo(tmp_path / name)
     before = contents(tmp_path)
     names = {"cast": cast_file, "tree": tree_file}
     line = run([argument.format(**names) for argument in arguments], capsys)

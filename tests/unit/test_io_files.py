@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,6 +40,19 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
 def test_a_file_that_was_never_written_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a.txt: cannot be written \(No such file"), atomic_file(tmp_path / "a.txt"):
         pass
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_file_does_not_take_the_place_of_a_device_or_pipe(tmp_path: Path) -> None:
+    """A rename onto /dev/null would make a file of it."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    (tmp_path / "link").symlink_to(pipe)
+    for path in (pipe, tmp_path / "link"):
+        with pytest.raises(InputError, match=r"is a device or a pipe, .* give another name"), atomic_file(path):
+            pass
+    assert pipe.is_fifo()
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["link", "pipe"]
 
 
 def test_a_folder_is_filled_at_the_end_or_not_at_all(tmp_path: Path) -> None:

@@ -93,9 +93,10 @@ def skeletonize(path: Path, selection: Selection, observer: Observer | None) -> 
             dataset=selection.dataset,
             max_memory_bytes=selection.max_memory_bytes,
         )
-        for text in volume.meta.get("notes", ()):
+        known = list(volume.meta.get("notes", ()))
+        for text in known:
             note(f"{path}: {text}")
-        return imaging.skeletonize(
+        skeleton = imaging.skeletonize(
             volume,
             label=selection.label,
             threshold=selection.threshold,
@@ -103,6 +104,9 @@ def skeletonize(path: Path, selection: Selection, observer: Observer | None) -> 
             max_memory_bytes=selection.max_memory_bytes,
             observer=observer,
         )
+        for text in skeleton.image["notes"][len(known) :]:
+            note(f"{path}: {text}")
+        return skeleton
 
 
 def measure(path: Path, name: str, selection: Selection, unit: str | None, observer: Observer | None) -> Measured:
@@ -148,6 +152,8 @@ def check_file(path: Path, inputs: Sequence[Path] = ()) -> None:
     """
     if path.is_dir():
         raise InputError(f"{path}: is a directory; give the name of a file")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is a device or a pipe, which a file would take the place of; give another name")
     check_is_no_input(path, inputs)
     if not path.parent.is_dir():
         raise InputError(f"{path}: the directory {path.parent} does not exist; make it first")
@@ -188,6 +194,10 @@ def _claim(path: Path) -> None:
 
     context = click.get_current_context(silent=True)
     if context is not None:
+        mine: set[str] = context.meta.setdefault(__name__, set())
+        if os.path.abspath(path) in mine:
+            raise InputError(f"{path}: is asked for as two outputs; give each a name of its own")
+        mine.add(os.path.abspath(path))
         context.with_resource(claimed(path))
 
 

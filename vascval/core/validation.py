@@ -147,7 +147,7 @@ def require_valid(tree: Tree, *, allow: frozenset[str] = frozenset()) -> Tree:
     """The tree itself, or :class:`~vascval.core.errors.InputError` with all findings whose rule is not in ``allow``."""
     bad = [finding.message for finding in findings(tree) if finding.rule not in allow]
     if bad:
-        raise InputError("the tree is not valid: " + "; ".join(bad))
+        raise InputError(f"the tree is not valid: {'; '.join(bad)}; mend it")
     return tree
 
 

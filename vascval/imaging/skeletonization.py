@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -104,7 +105,10 @@ def skeletonize(
     report("distance map", 2, 7)
     thickness = distance_map(clean.voxels)
     if not np.isfinite(thickness).all():
-        raise InputError("every voxel of the volume is selected; nothing tells the vessel from its surroundings")
+        raise InputError(
+            "every voxel of the volume is vessel once cavities are filled; if the mask is inverted, choose its other "
+            "value with --label"
+        )
     report("tips", 3, 7)
     tips = find_tips(clean.voxels, thickness)
     root = None if root_mm is None else _root_voxel(volume, clean.voxels, tips, thickness, np.asarray(root_mm))
@@ -131,12 +135,30 @@ def skeletonize(
         "bump_mm": tips.bump_mm,
         "voxel_mm": volume.spacing_mm.tolist(),
         "selection": selection.rule,
-        "notes": list(volume.meta.get("notes", ())),
+        "notes": [*volume.meta.get("notes", ()), *_doubts(volume, clean.voxels.n, whole)],
     }
     frame = Volume(np.zeros((1, 1, 1), dtype=np.uint8), volume.spacing_mm, volume.origin_mm, volume.direction)
     loops_mm = world(drawn.skeleton.voxel[drawn.loops.cuts[:, 0]])
     breaks_mm = volume.to_world(clean.joined.breaks_xyz)
     return Skeleton(whole, image, loops_mm, world(spurs), breaks_mm, clean.runs, frame)
+
+
+def _doubts(volume: Volume | Scan, n_voxels: int, tree: Tree) -> list[str]:
+    """What makes one doubt that the voxels are vessels: a cast is a small part of its image, and made of tubes."""
+    share = n_voxels / math.prod(volume.shape)
+    described = tree.volume_mm3 / (n_voxels * float(np.prod(volume.spacing_mm)))
+    doubts = []
+    if share > 0.5:
+        doubts.append(
+            f"{share:.0%} of the image is taken for vessels; if the mask is inverted, choose its other value with "
+            "--label"
+        )
+    if not 0.5 < described < 2.0:
+        doubts.append(
+            f"the vessels found have {described:.0%} of the volume of the voxels, so that these are hardly tubes: "
+            "check that they are a cast"
+        )
+    return doubts
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,12 +18,14 @@ def atomic_file(path: Path | str) -> Iterator[Path]:
 
     The temporary name ends like the real one, so that libraries which choose a format by the suffix choose the same.
 
-    :raises InputError: when the folder is missing or not writable, or ``path`` is a folder.
+    :raises InputError: when the folder is missing or not writable, or ``path`` is a folder, a device or a pipe.
     """
     path = Path(path)
     _require_folder(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is a device or a pipe, which a file would take the place of; give another name")
     aside = path.with_name(f".{secrets.token_hex(4)}-{path.name}")
     try:
         yield aside
