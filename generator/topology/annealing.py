@@ -129,13 +129,17 @@ class Annealing:
         while self.n_tests < self.options.tests:
             with self._between_blocks:
                 step = self._block()
+                if self.n_tests == self.options.tests:
+                    self._end()
             yield step
-        with self._between_blocks:
-            self.tree.state.node[:] = self._best
-            self.cost = sweep(self.tree.state, self.tree.flat.order)
-            if self.space.convex:
-                self.cost = self._polish(0.3)
-            self._note()
+
+    def _end(self) -> None:
+        """Once: a chain that is kept after this is not polished again when the others go on."""
+        self.tree.state.node[:] = self._best
+        self.cost = sweep(self.tree.state, self.tree.flat.order)
+        if self.space.convex:
+            self.cost = self._polish(0.3)
+        self._note()
 
     def _block(self) -> AnnealingStep:
         """The tests up to the next step."""

@@ -84,6 +84,25 @@ def test_gone_on_with_from_any_step_it_is_the_same_tree(tmp_path, changes):
         assert exact(other.tree()) == whole, path.name
 
 
+def test_a_chain_that_is_at_its_end_is_not_ended_again(tmp_path, monkeypatch):
+    """On one thread chains follow each other: those before the one at work are done when the run is kept."""
+    monkeypatch.setenv("VASCVAL_THREADS", "1")
+    changes = ("n_terminals=200", "method=full", "topology.at=200", "topology.tests=20000", "topology.chains=3")
+    run, kept = begun(changes), {}
+    for name, _step in run.steps():
+        if name == "topology":
+            n_ended = sum(chain.n_tests == 20_000 for chain in run.topology._chains)
+            kept[n_ended] = tmp_path / str(n_ended)
+            checkpoint.write(kept[n_ended], run.state(), origin_of(run))
+    whole = exact(run.tree())
+    assert sorted(kept) == [0, 1, 2, 3]
+    for path in kept.values():
+        other = begun(changes)
+        other.restore(checkpoint.read(path, origin_of(other)))
+        list(other.steps())
+        assert exact(other.tree()) == whole, path.name
+
+
 @pytest.fixture(name="half", scope="module")
 def _half(tmp_path_factory):
     """A checkpoint in the middle of a run, with the run's own record."""
