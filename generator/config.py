@@ -54,6 +54,8 @@ class DomainConfig(_Model):
         if len(given) != 1:
             have = " and ".join(given) or "none of them"
             raise ValueError(f"one of box_mm, file and shape is needed, not {have}")
+        if self.file is None and (self.label is not None or self.closing_mm > 0.0):
+            raise ValueError("label and closing_mm are for a volume; name it in file, or leave them out")
         return self
 
 
@@ -129,7 +131,7 @@ class Config(_Model):
         default="cco", description="growth, with geometry, with topology"
     )
     seed: int = Field(default=1, ge=0, description="of the random numbers: same seed, same tree")
-    n_terminals: int = Field(ge=1, description="terminals to grow; ignored with terminals_file")
+    n_terminals: int = Field(ge=1, le=10**9, description="terminals to grow; ignored with terminals_file")
     n_connections: int = Field(default=32, ge=1, description="nearest segments tried for each new terminal")
     gamma: float = Field(ge=2.0, le=3.0, description="branching exponent of Murray's law")
     viscosity: Literal["constant", "fahraeus-lindqvist"] = Field(

@@ -68,10 +68,13 @@ def _points(points_mm: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(points_mm, dtype=np.float64).reshape(-1, 3)
 
 
+_SIDES_MM = (1e-3, 1e6)
+
+
 class Box(Domain):
     """An axis-parallel box from ``origin_mm`` with sides ``size_mm``; the wall is inside.
 
-    :raises InputError: when a side is not positive and finite.
+    :raises InputError: when a side is not positive and finite, or absurd.
     """
 
     name = "box"
@@ -80,6 +83,8 @@ class Box(Domain):
         size, origin = np.asarray(size_mm, dtype=np.float64), np.asarray(origin_mm, dtype=np.float64)
         if size.shape != (3,) or not (np.isfinite(size).all() and (size > 0).all()):
             raise InputError(f"a box with sides {size.tolist()} mm has no volume; three positive sides are needed")
+        if size.min() < _SIDES_MM[0] or size.max() > _SIDES_MM[1]:
+            raise InputError(f"a box with sides {size.tolist()} mm holds no vessels; give sides from 1 um to 1 km")
         if origin.shape != (3,) or not np.isfinite(origin).all():
             raise InputError(f"the corner of the box, {origin.tolist()}, is no point; give three finite coordinates")
         self.lower_mm, self.upper_mm = origin, origin + size

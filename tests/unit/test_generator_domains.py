@@ -198,6 +198,13 @@ def test_boxes_without_volume(size):
         Box(size)
 
 
+@pytest.mark.parametrize("size", [(1e-300, 1, 1), (1, 1e200, 1), (1, 1, 1e-4)])
+def test_boxes_of_absurd_size(size):
+    """Their volume is 0 or infinite in floating point, or their grid of cells larger than memory."""
+    with pytest.raises(InputError, match=r"holds no vessels; give sides from 1 um to 1 km"):
+        Box(size)
+
+
 @pytest.mark.parametrize("suffix", ["stl", "obj", "vtk", "vtp"])
 def test_surface_files(tmp_path, suffix):
     path = tmp_path / f"ball.{suffix}"

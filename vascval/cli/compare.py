@@ -10,7 +10,7 @@ import click
 
 from vascval.cli import sources
 from vascval.cli.console import progress, say, write_json
-from vascval.cli.options import Selection, json_option, unit_option, volume_options
+from vascval.cli.options import Finite, Selection, json_option, unit_option, volume_options
 from vascval.cli.sources import Measured
 from vascval.cli.summary import comparison_tables
 from vascval.core.errors import InputError
@@ -52,7 +52,7 @@ the tree of the cast as cast.vtp. With --json alone no directory is written.
 @click.option(
     "--tolerance",
     "tolerance_mm",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Finite(min=0, min_open=True),
     metavar="MM",
     help="Vessels this near lie in one place.  [default: 1 % of the diagonal of the cast's bounding box]",
 )

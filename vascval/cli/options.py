@@ -42,6 +42,16 @@ class Numbers(click.ParamType):
         return numbers
 
 
+class Finite(click.FloatRange):
+    """A number in a range, and one indeed: NaN passes every comparison unnoticed."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return number
+
+
 class Threshold(click.ParamType):
     """A finite grey value, or ``auto`` (``otsu`` says the same) for an automatic one."""
 
@@ -204,7 +214,7 @@ def checkpoint_options(kept: str, default: str, resumed: str) -> Callable[[F], F
     options = (
         click.option("--checkpoint", type=path, metavar="FILE", help=f"Where {kept}.  [default: {default}]"),
         click.option(
-            "--checkpoint-every", "every_s", type=click.FloatRange(min=0), default=60.0, metavar="SECONDS",
+            "--checkpoint-every", "every_s", type=Finite(min=0), default=60.0, metavar="SECONDS",
             help="How often.  [default: 60]",
         ),
         click.option("--resume", type=path, metavar="FILE", help=f"Go on from this checkpoint; {resumed}"),

@@ -12,7 +12,7 @@ import click
 from vascval.cli import sources
 from vascval.cli.console import Observer, note, progress, say, write_json
 from vascval.cli.keeping import Keeping
-from vascval.cli.options import Selection, checkpoint_options, json_option, unit_option, volume_options
+from vascval.cli.options import Finite, Selection, checkpoint_options, json_option, unit_option, volume_options
 from vascval.cli.sources import Measured
 from vascval.cli.summary import comparison_tables
 from vascval.cli.twin_kept import Parts
@@ -21,7 +21,7 @@ from vascval.core.errors import InputError
 if TYPE_CHECKING:
     from generator.config import Config
 
-_LENGTH = click.FloatRange(min=0, min_open=True)
+_LENGTH = Finite(min=0, min_open=True)
 
 
 @dataclass(frozen=True)
