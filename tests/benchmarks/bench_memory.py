@@ -118,24 +118,39 @@ def forest_tree(n_terminals: int, shape: Size, *, seed: int = 0, tip_mm: float =
 
 
 def blurred(tree: Tree) -> np.ndarray:
-    """(N,) terminals that come within a voxel of another vessel than their parent and siblings, or run into it: in an
-    image they are a part of that vessel, or a loop, and nothing tells what they belong to."""
-    parent, position, radius = tree.parent, tree.position_mm, tree.radius_mm
-    begin, way = position[parent[1:]], position[1:] - position[parent[1:]]
-    size = np.maximum((way**2).sum(axis=1), 1e-300)
-    middle, reach = begin + way / 2, np.sqrt(size) / 2 + radius[1:]
+    """(N,) terminals that belong to a vessel, from the stem to themselves, which runs into another one.
+
+    A terminal does so where it comes within a voxel of any vessel but its parent and siblings, another segment where it
+    comes as near to one that is thicker and no neighbour of it either. In an image it is a part of that vessel, or
+    a loop, and nothing tells what it belongs to.
+    """
+    parent, radius = tree.parent, tree.radius_mm
+    is_terminal = tree.topology.n_children == 0
     result = np.zeros(tree.n_nodes, dtype=bool)
-    for tip in tree.topology.terminals.tolist():
-        own = np.linalg.norm(middle - middle[tip - 1], axis=1) < reach + reach[tip - 1] + 1.0
-        own &= (parent[1:] != parent[tip]) & (np.arange(1, tree.n_nodes) != parent[tip])
-        line = begin[tip - 1] + np.linspace(0.0, 1.0, 60)[:, None] * way[tip - 1]
-        share = np.einsum("ijk,jk->ij", line[:, None] - begin[own], way[own]) / size[own]
-        foot = begin[own] + np.clip(share, 0.0, 1.0)[:, :, None] * way[own]
-        apart = np.linalg.norm(line[:, None] - foot, axis=2) - radius[1:][own] - radius[tip]
-        # within the ball of its junction it meets what its parent and siblings meet
-        out = np.linalg.norm(line - begin[tip - 1], axis=1) > radius[parent[tip]] + 3.0 * radius[tip]
-        result[tip] = apart[out].min(initial=np.inf) < 1.0
-    return result
+    for node in range(1, tree.n_nodes):
+        others = (parent != parent[node]) & (parent != node) & (np.arange(tree.n_nodes) != parent[node])
+        others &= is_terminal[node] | (radius > radius[node])
+        others[0] = False
+        result[node] = result[parent[node]] or _touches(tree, node, others)
+    return result & is_terminal
+
+
+def _touches(tree: Tree, node: int, others: np.ndarray) -> bool:
+    """Whether the segment comes within a voxel of one of the ``others`` (N,), outside the ball of its junction, where
+    it meets what its parent and siblings meet."""
+    position, radius = tree.position_mm, tree.radius_mm
+    start, way = position[tree.parent[node]], position[node] - position[tree.parent[node]]
+    begin = position[tree.parent[1:]]
+    along = position[1:] - begin
+    reach = np.linalg.norm(along, axis=1) / 2 + radius[1:] + np.linalg.norm(way) / 2 + radius[node] + 1.0
+    near = others[1:] & (np.linalg.norm(begin + along / 2 - start - way / 2, axis=1) < reach)
+    begin, along, thick = begin[near], along[near], radius[1:][near]
+    line = start + np.linspace(0.0, 1.0, 60)[:, None] * way
+    line = line[np.linalg.norm(line - start, axis=1) > radius[tree.parent[node]] + 3.0 * radius[node]]
+    square = np.maximum((along**2).sum(axis=1), 1e-300)
+    share = np.clip(np.einsum("ijk,jk->ij", line[:, None] - begin, along) / square, 0.0, 1.0)
+    foot = begin + share[:, :, None] * along
+    return bool((np.linalg.norm(line[:, None] - foot, axis=2) - thick).min(initial=np.inf) < radius[node] + 1.0)
 
 
 def clear_tips(found: Tree, truth: Tree) -> tuple[int, int, bool]:

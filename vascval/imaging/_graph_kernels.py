@@ -1,4 +1,4 @@
-"""Compiled parts of the skeleton graph; see :mod:`vascval.imaging.graph`."""
+"""Compiled parts of the skeleton graph; see :mod:`vascval.imaging.graph` and :mod:`vascval.imaging.loops`."""
 
 import numpy as np
 
@@ -118,6 +118,55 @@ def loop_sizes(parent, depth, u, v, position, thickness, enough):
             i = parent[i]
             widest[c] = max(widest[c], thickness[i])
     return length, widest
+
+
+@njit
+def chains(n, a, b, is_node):
+    """The chains between nodes of the graph of edges ``a[e], b[e]`` among ``n`` points; other points have two edges.
+
+    :returns: chain ``c`` runs through ``point[offset[c]:offset[c + 1]]``, the nodes at both its ends included.
+    """
+    first, edge, other = incidence(n, a, b)
+    is_done = np.zeros(a.size, np.bool_)
+    point, offset = np.empty(2 * a.size, np.int32), np.zeros(a.size + 1, np.int64)
+    size, count = 0, 0
+    for p in range(n):
+        if not is_node[p]:
+            continue
+        for s in range(first[p], first[p + 1]):
+            if is_done[edge[s]]:
+                continue
+            point[size] = p
+            at = s
+            while True:
+                is_done[edge[at]] = True
+                q = other[at]
+                size += 1
+                point[size] = q
+                if is_node[q]:
+                    break
+                at = first[q] + 1 if is_done[edge[first[q]]] else first[q]
+            size += 1
+            count += 1
+            offset[count] = size
+    return point[:size].copy(), offset[: count + 1].copy()
+
+
+@njit
+def spanning(n, a, b, rank):
+    """Which of the edges ``a[e], b[e]`` among ``n`` points join what those before them in ``rank`` leave apart."""
+    leader, joins = np.arange(n), np.zeros(a.size, np.bool_)
+    for e in rank:
+        i, j = a[e], b[e]
+        while leader[i] != i:
+            leader[i] = leader[leader[i]]
+            i = leader[i]
+        while leader[j] != j:
+            leader[j] = leader[leader[j]]
+            j = leader[j]
+        joins[e] = i != j
+        leader[i] = j
+    return joins
 
 
 @njit

@@ -1,4 +1,4 @@
-"""The skeleton as a rooted tree of branches: loops opened at their thinnest place, the root found, spurs dropped."""
+"""The skeleton as a rooted tree of branches; its loops are opened in :mod:`vascval.imaging.loops`."""
 
 from __future__ import annotations
 
@@ -60,8 +60,7 @@ class Branches:
 def spanning_skeleton(voxels: Voxels, left: np.ndarray, thickness_mm: np.ndarray) -> SkeletonGraph:
     """Join the voxels that thinning left to a tree that keeps the thickest connections.
 
-    The maximum spanning tree by the thickness of the thinner of two neighbours opens every loop at its thinnest place,
-    the least plausible as a vessel.
+    The maximum spanning tree by the thickness of the thinner of two neighbours opens every loop at its thinnest place.
 
     :param left: (n,) bool, from :func:`vascval.imaging.thinning.thin`.
     :param thickness_mm: (n,) distance map.
@@ -145,47 +144,3 @@ def thickest_end(skeleton: SkeletonGraph, ends: np.ndarray, thickness_mm: np.nda
         if thickness > best_thickness:
             best, best_thickness = end, thickness
     return best
-
-
-PINHOLE_RADII = 3 * np.pi
-
-
-@dataclass(frozen=True, eq=False)
-class Loops:
-    """``cuts`` (c, 2): the pairs of skeleton points at which a loop of vessels was opened; ``n_pinholes``: loops too
-    small to be one; ``stub`` (u,): skeleton points at cuts that end a vessel of their own."""
-
-    cuts: np.ndarray
-    n_pinholes: int
-    stub: np.ndarray
-
-
-def judge_loops(
-    skeleton: SkeletonGraph,
-    order: np.ndarray,
-    parent: np.ndarray,
-    ends: np.ndarray,
-    position_mm: np.ndarray,
-    thickness_mm: np.ndarray,
-    salience_mm: np.ndarray,
-) -> Loops:
-    """Tell loops of vessels from pinholes, and find what is left of a loop's arms.
-
-    A loop whose length is at most ``PINHOLE_RADII`` = 3 pi times the largest distance value on it goes round a hole
-    narrower than half its vessel's radius: voxels that fail to meet in a crotch, or a pit through a wall. It is opened
-    without being a finding. The arms of a true loop end at the cut; an arm that sticks out of its junction by its
-    salience (:func:`vascval.imaging.tips.salience_mm`) stays as a branch, a lesser one is dropped.
-
-    :param order: with ``parent`` (k,), from :func:`rooted`.
-    :param ends: tips of vessels among the skeleton points.
-    :param position_mm: (k, 3); ``thickness_mm``, ``salience_mm`` (k,) distance map and salience at the skeleton points.
-    """
-    cuts = skeleton.cuts
-    kept = kernels.mark_paths(parent, ends.astype(np.int32))
-    depth, base, way = kernels.climb(order, parent, kept, position_mm)
-    enough = PINHOLE_RADII * float(thickness_mm.max())
-    u, v = np.ascontiguousarray(cuts.T)
-    length, widest = kernels.loop_sizes(parent, depth, u, v, position_mm, thickness_mm, enough)
-    true = length > PINHOLE_RADII * widest
-    sticks_out = true[:, None] & (way[cuts] > thickness_mm[base[cuts]] + salience_mm[cuts])
-    return Loops(cuts[true], int(cuts.shape[0] - true.sum()), np.unique(cuts[sticks_out]))

@@ -18,7 +18,8 @@ from vascval.imaging._geodesic_kernels import nearest_voxel
 from vascval.imaging.breaks import Joined, join_breaks
 from vascval.imaging.distance import distance_map
 from vascval.imaging.first_guess import Refined
-from vascval.imaging.graph import Branches, Loops, SkeletonGraph
+from vascval.imaging.graph import Branches, SkeletonGraph
+from vascval.imaging.loops import Loops, open_loops
 from vascval.imaging.memory import Budget, budget
 from vascval.imaging.refine import draw, refine
 from vascval.imaging.renewal import renew
@@ -85,8 +86,8 @@ def skeletonize(
 
     The steps: select the voxels; keep the largest component and the fragments that continue it; fill cavities; exact
     distance map; tips (:mod:`vascval.imaging.tips`); thinning towards the tips; a graph whose loops are opened at their
-    thinnest place; root; sub-voxel refinement (:mod:`vascval.imaging.refine`); spurs; contraction of junctions that are
-    one. All but the first work on the foreground alone, in time and memory O(foreground).
+    thinnest vessel; root; sub-voxel refinement (:mod:`vascval.imaging.refine`); spurs; contraction of junctions that
+    are one. All but the first work on the foreground alone, in time and memory O(foreground).
 
     :param label: value of the vessel's voxels; ``threshold``: least value, ``"auto"`` for Otsu's; see
         :func:`vascval.imaging.selection.select`.
@@ -229,14 +230,15 @@ def _draw(voxels: Voxels, left: np.ndarray, thickness: np.ndarray, tips: Tips, r
     ends = np.searchsorted(skeleton.voxel, tips.voxel)
     if ends.size < 2:
         raise InputError("the selected voxels have no two ends: they are a lump and not a vessel; check the selection")
+    known = ends if root_voxel is None else np.union1d(ends, np.searchsorted(skeleton.voxel, root_voxel))
+    position = voxels.index_xyz(skeleton.voxel) * voxels.spacing_mm
+    at = thickness[skeleton.voxel]
+    skeleton, loops = open_loops(skeleton, known, position, at, salience_mm(at, tips.bump_mm))
     if root_voxel is None:
         root = graph.thickest_end(skeleton, ends, thickness)
     else:
         root = int(np.searchsorted(skeleton.voxel, root_voxel))
     order, parent = graph.rooted(skeleton, root)
-    position = voxels.index_xyz(skeleton.voxel) * voxels.spacing_mm
-    at = thickness[skeleton.voxel]
-    loops = graph.judge_loops(skeleton, order, parent, ends, position, at, salience_mm(at, tips.bump_mm))
     ends = np.union1d(ends[ends != root], loops.stub)
     return _Drawn(skeleton, order, parent, ends, loops)
 
