@@ -43,7 +43,12 @@ def _local(n_workers: int) -> Iterator[Client]:
     import dask
     from distributed import Client, LocalCluster
 
-    settings = {"distributed.scheduler.allowed-failures": 0}  # a tree whose worker was lost comes back at once
+    settings: dict[str, Any] = {
+        "distributed.scheduler.allowed-failures": 0,  # a tree whose worker was lost comes back at once
+        # nobody looks at these, and they take 1 % of each worker
+        "distributed.worker.profile.enabled": False,
+        "distributed.admin.system-monitor.interval": "5s",
+    }
     options: dict[str, Any] = {"preload": [__name__], "memory_limit": 0, "silence_logs": logging.CRITICAL}
     with (
         dask.config.set(settings),

@@ -1,6 +1,6 @@
 """An ensemble of ten trees on one worker and on two: how much faster two are.
 
-``python -m tests.benchmarks.bench_ensemble [workers ...]`` prints a table. Wall times: measure on a machine with
+``python -m tests.benchmarks.bench_ensemble [workers] [large]`` prints tables. Wall times: measure on a machine with
 nothing else to do and two free cores.
 """
 
@@ -19,15 +19,17 @@ from pathlib import Path
 from tests.benchmarks.tables import main, table
 
 
-def workers(counts: Sequence[int] = (1, 2), n_trees: int = 10, n_terminals: int = 6000) -> str:
+def workers(
+    counts: Sequence[int] = (1, 2), n_trees: int = 10, n_terminals: int = 6000, method: str = "geometry"
+) -> str:
     """Seconds of making the trees, from the first handed out to the last one back, and of the whole command.
 
     What a busy machine does not change is told too: the trees at work at once in the mean, and the CPU seconds of the
-    command. Trees of the benchmark box with their geometry optimised; a first call compiles and is not counted.
+    command. Trees of the benchmark box; a first call compiles and is not counted.
     """
     with tempfile.TemporaryDirectory() as folder:
-        _timed(Path(folder) / "first", 1, 2, 50)
-        found = [_timed(Path(folder) / str(count), count, n_trees, n_terminals) for count in counts]
+        _timed(Path(folder) / "first", 1, 2, 50, method)
+        found = [_timed(Path(folder) / str(count), count, n_trees, n_terminals, method) for count in counts]
     rows = [
         [count, f"{one.making_s:.1f}", f"{found[0].making_s / one.making_s:.2f}", f"{one.command_s:.1f}",
          f"{found[0].command_s / one.command_s:.2f}", f"{one.at_once:.2f}", f"{one.cpu_s:.1f}"]
@@ -47,8 +49,13 @@ class Timed:
     at_once: float
 
 
-def _timed(folder: Path, count: int, n_trees: int, n_terminals: int) -> Timed:
-    settings = ["--set", f"n_terminals={n_terminals}", "--set", "method=geometry"]
+def large() -> str:
+    """As :func:`workers`, of trees with their topology searched as well, which take ten times as long."""
+    return workers(n_terminals=12_000, method="full")
+
+
+def _timed(folder: Path, count: int, n_trees: int, n_terminals: int, method: str) -> Timed:
+    settings = ["--set", f"n_terminals={n_terminals}", "--set", f"method={method}"]
     file = folder.with_suffix(".json")
     command = [sys.executable, "-m", "vascval.cli", "ensemble", "karch-box", *settings, "--seeds", str(n_trees)]
     command += ["--workers", str(count), "-o", str(folder), "--json", str(file), "--quiet"]
@@ -61,7 +68,7 @@ def _timed(folder: Path, count: int, n_trees: int, n_terminals: int) -> Timed:
     return Timed(document["seconds"], whole, cpu, trees / document["seconds"])
 
 
-TABLES: dict[str, Callable[[], str]] = {"workers": workers}
+TABLES: dict[str, Callable[[], str]] = {"workers": workers, "large": large}
 
 
 if __name__ == "__main__":
