@@ -9,6 +9,7 @@ import signal
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
 from vascval.core.errors import InputError
@@ -30,6 +31,7 @@ def connected(scheduler: str | None, n_workers: int) -> Iterator[Client]:
 
     :raises InputError: when no scheduler answers or it has no workers.
     """
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # what was under way when a client is closed is no news
     if scheduler is None:
         with _local(n_workers) as client:
             yield client
@@ -50,14 +52,27 @@ def _local(n_workers: int) -> Iterator[Client]:
         "distributed.admin.system-monitor.interval": "5s",
     }
     options: dict[str, Any] = {"preload": [__name__], "memory_limit": 0, "silence_logs": logging.CRITICAL}
-    with (
-        dask.config.set(settings),
-        LocalCluster(
-            n_workers=n_workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", **options
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        yield client
+    with dask.config.set(settings):
+        with _deaf_to_ctrl_c():
+            cluster = LocalCluster(
+                n_workers=n_workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", **options
+            )
+        with cluster, Client(cluster) as client:
+            yield client
+
+
+@contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    """Threads and processes that are begun within never hear it, from their first moment on."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # which lets the thread that starts it hear again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

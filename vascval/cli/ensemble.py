@@ -14,6 +14,7 @@ import click
 
 from vascval.cli import sources
 from vascval.cli.console import Observer, note, progress, say, table, write_json
+from vascval.cli.interruption import held_back
 from vascval.cli.options import json_option
 from vascval.core.errors import ComputationError
 
@@ -139,7 +140,11 @@ def _make(planned: Plan, manifest: Manifest, log: Log, scheduler: str | None, wo
         if observer is not None:
             observer("starting workers", 0, len(missing))
         threading.Thread(target=_load_report).start()
-        client = stack.enter_context(connected(scheduler, min(workers or os.cpu_count() or 1, len(missing))))
+        with held_back(unless=lambda: scheduler is not None) as held:  # what has half begun cannot be closed
+            try:
+                client = stack.enter_context(connected(scheduler, min(workers or os.cpu_count() or 1, len(missing))))
+            finally:
+                held.release()
         manifest.folder.mkdir(exist_ok=True)
         log.begin(manifest.folder / "log")
         manifest.write()
