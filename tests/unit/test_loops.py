@@ -6,12 +6,23 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from vascval.core.tree import Topology, Tree
 from vascval.imaging import skeletonize
 from vascval.imaging._graph_kernels import chains, spanning
-from vascval.imaging.loops import _vessel_mm
+from vascval.imaging.distance import distance_map
+from vascval.imaging.graph import spanning_skeleton
+from vascval.imaging.loops import _vessel_mm, open_loops
 from vascval.imaging.rasterize import rasterize
+from vascval.imaging.runs import components, keep
+from vascval.imaging.selection import select
+from vascval.imaging.thinning import thin
+from vascval.imaging.tips import find_tips
+from vascval.imaging.voxels import from_runs
+from vascval.io.volumes import Volume
 
 PARENT = np.array([-1, 0, 1, 1, 3, 3, 4, 4])
 POSITION_MM = np.array(
@@ -43,6 +54,31 @@ def _above(tree: Tree, node: int) -> set[int]:
         node = int(tree.parent[node])
         above.add(node)
     return above
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_sponge_comes_out_as_a_tree_with_a_cut_for_every_loop(seed: int) -> None:
+    noise = gaussian_filter(np.random.default_rng(seed).normal(size=(40, 44, 48)), 2.0)
+    sponge = Volume((noise > 0.3 * noise.std()).astype(np.uint8), np.ones(3), np.zeros(3), np.eye(3))
+    runs = select(sponge).runs
+    parts = components(runs)
+    voxels = from_runs(keep(runs, parts.label, np.arange(parts.size_voxels.size) == 0), sponge.spacing_mm)
+    thickness = distance_map(voxels)
+    tips = find_tips(voxels, thickness)
+    skeleton = spanning_skeleton(voxels, thin(voxels, thickness, tips.voxel), thickness)
+    at = thickness[skeleton.voxel]
+    ends = np.searchsorted(skeleton.voxel, tips.voxel)
+    opened, loops = open_loops(skeleton, ends, voxels.index_xyz(skeleton.voxel) * 1.0, at, np.zeros(at.size))
+    n = skeleton.voxel.size
+    assert len(loops.cuts) + loops.n_pinholes == len(skeleton.cuts)
+    assert len(loops.cuts) > 10
+    assert len(opened.edges) == len(skeleton.edges) == n - 1
+    joined = coo_matrix((np.ones(n - 1), opened.edges.T), shape=(n, n))
+    assert connected_components(joined, directed=False)[0] == 1
+    before, after = ({tuple(sorted(pair)) for pair in one.tolist()} for one in (skeleton.edges, opened.edges))
+    cuts = [{tuple(sorted(pair)) for pair in one.tolist()} for one in (skeleton.cuts, loops.cuts)]
+    assert after - before <= cuts[0]
+    assert before - after <= cuts[1]
 
 
 def test_chains_between_nodes() -> None:

@@ -36,7 +36,7 @@ def skeletonize(volume: Path, output: Path, selection: Selection, json_file: str
     """Turn the vessels in VOLUME (NRRD, NIfTI, MetaImage, TIFF, zarr, HDF5) into a tree.
 
     Vessels are what is not 0, or the voxels chosen by --label or --threshold. The largest connected piece is kept,
-    cavities are filled, loops are cut at their thinnest edge and spurs pruned; what was done is counted in the
+    cavities are filled, loops are cut at their thinnest vessel and spurs pruned; what was done is counted in the
     summary. Positions are millimetres in the volume's world frame.
     """
     sources.require(volume, "volume", "a tree needs no skeletonizing; see vascval analyze")
