@@ -222,6 +222,15 @@ def test_reader_that_leaves_early_is_no_error():
     assert done.stderr == ""
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
+def test_closed_streams_are_no_error():
+    command = f"{sys.executable} -m vascval.cli schema"
+    for closed, code in ((">&-", 0), ("2>&-", 0), (">&- 2>&-", 0), ("nonsense 2>&-", 2)):
+        done = subprocess.run(["bash", "-c", f"{command} {closed}"], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (code, "")
+        assert (done.stdout != "") == (closed == "2>&-")  # no complaint among the results
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs the device /dev/full")
 def test_full_disk_is_said():
     with open("/dev/full", "w") as full:

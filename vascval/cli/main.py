@@ -74,6 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         nobody foresaw is reported in one line too.
     """
     state = State()
+    _open_closed()
     if argv is None:
         sys.excepthook = _unforeseen(state)
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -100,6 +101,13 @@ def _run(arguments: list[str], state: State) -> int:
     finally:
         sys.stdout.flush()
     return 0
+
+
+def _open_closed() -> None:
+    """A stream that was closed before the start, as by ``>&-``, is one that nobody reads."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (for as long as the process lasts)
 
 
 class Terminated(KeyboardInterrupt):
