@@ -37,7 +37,7 @@ def read_surface(path: Path) -> Surface:
 def _read_stl(path: Path) -> Surface:
     data = path.read_bytes()
     count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
-    if len(data) == 84 + 50 * count:
+    if count >= 0 and len(data) == 84 + 50 * count:
         kind = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
         points = np.frombuffer(data, kind, offset=84)["corner"].reshape(-1, 3).astype(np.float64)
     elif data.lstrip()[:5].lower() == b"solid" and b"\0" not in data[:1000]:

@@ -213,6 +213,15 @@ def test_bad_tree(name, tmp_path, capsys, cast_file):
         assert run(["view", path, "--screenshot", tmp_path / "x.png"], capsys).startswith(f"vascval: error: {path}: ")
 
 
+@pytest.mark.parametrize(("factor", "doubted"), [(1e3, True), (1.0, False), (1e-6, True)])
+def test_radii_in_another_unit_than_positions_are_doubted(factor, doubted, tmp_path, tree_file, capsys):
+    rows = [line.split() for line in tree_file.read_text().splitlines()[1:]]
+    scaled = [" ".join([*row[:5], str(factor * float(row[5])), row[6]]) for row in rows]
+    (tmp_path / "scaled.swc").write_text("# unit: mm\n" + "\n".join(scaled) + "\n")
+    assert main(["analyze", str(tmp_path / "scaled.swc"), "--json", str(tmp_path / "a.json")]) == 0
+    assert ("check that radii and positions are in one unit" in capsys.readouterr().err) == doubted
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

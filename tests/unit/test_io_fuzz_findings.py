@@ -200,3 +200,9 @@ def test_a_file_whose_name_has_control_characters(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         read_tree(path)
     assert str(caught.value) == f"{tmp_path}/a\\x1b[31m\\n.vtp: the file is empty; check how it was written"
+
+
+def test_an_stl_file_as_short_as_fifty_bytes_less_than_its_header(tmp_path: Path) -> None:
+    path = given(tmp_path, ".stl", b"solid".ljust(34, b"\0"))
+    with pytest.raises(InputError, match=r"a\.stl: is 34 bytes long where 84 are announced; it is truncated"):
+        make_domain(DomainConfig(file=path))

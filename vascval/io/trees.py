@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from vascval.core.errors import InputError, printable
 from vascval.core.tree import Tree
@@ -24,6 +27,8 @@ from vascval.io.vtp_xml import read_vtp
 
 __all__ = ["is_tree_path", "is_volume_path", "read_tree", "write_swc", "write_table", "write_tree", "write_vtp"]
 
+_LEAST_RADIUS = 1e-5
+"""Of the thickest vessel, in widths of the tree; real trees have a hundredth."""
 SUFFIXES = (".vtp", ".vtk", ".swc", ".gxl", ".xml")
 
 
@@ -36,7 +41,8 @@ def read_tree(path: Path | str, *, unit: str | None = None, keep: Keep = "larges
     """The tree in a VTP, legacy VTK, SWC or GXL file, in millimetres, oriented away from its root.
 
     Our own VTP files read back as they were written. Whatever had to be guessed or mended in others stands as
-    sentences in ``meta["guesses"]``: the unit, the root, which array is the radius, loops, separate trees.
+    sentences in ``meta["guesses"]``: the unit, the root, which array is the radius, loops, separate trees; so does
+    what makes one doubt that radii and positions have one unit.
 
     :param unit: of positions and radii (``um``, ``mm``, ``cm``, ``m``); by default what the file says, else a guess.
     :param keep: what to do with several trees in one file: keep the ``"largest"`` by length, or ``"error"``.
@@ -75,7 +81,18 @@ def _read(path: Path, head: bytes, unit: str | None, keep: Keep) -> Tree:
         kind, (sketch, unit) = "SWC", read_swc(path, unit)
     else:
         raise InputError("is no tree that can be read; give VTP, legacy VTK (poly data), SWC or GXL")
-    return assemble(sketch, keep=keep, meta={"source": path.name, "format": kind, "unit": unit})
+    tree = assemble(sketch, keep=keep, meta={"source": path.name, "format": kind, "unit": unit})
+    return replace(tree, meta={**tree.meta, "guesses": [*tree.meta["guesses"], *_doubts(tree)]})
+
+
+def _doubts(tree: Tree) -> list[str]:
+    wide, thickest = float(np.ptp(tree.position_mm, axis=0).max()), float(tree.radius_mm.max())
+    if tree.n_segments == 0 or _LEAST_RADIUS * wide <= thickest <= wide:
+        return []
+    return [
+        f"the largest radius is {thickest:.4g} mm and the tree {wide:.4g} mm wide: check that radii and positions are "
+        "in one unit"
+    ]
 
 
 def _root_element(path: Path) -> str:
