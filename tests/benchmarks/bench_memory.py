@@ -124,33 +124,27 @@ def blurred(tree: Tree) -> np.ndarray:
     comes as near to one that is thicker and no neighbour of it either. In an image it is a part of that vessel, or
     a loop, and nothing tells what it belongs to.
     """
-    parent, radius = tree.parent, tree.radius_mm
+    parent, position, radius = tree.parent, tree.position_mm, tree.radius_mm
+    begin = position[np.maximum(parent, 0)]
+    way = position - begin
+    middle, reach = begin + way / 2, np.linalg.norm(way, axis=1) / 2 + radius
     is_terminal = tree.topology.n_children == 0
     result = np.zeros(tree.n_nodes, dtype=bool)
     for node in range(1, tree.n_nodes):
-        others = (parent != parent[node]) & (parent != node) & (np.arange(tree.n_nodes) != parent[node])
-        others &= is_terminal[node] | (radius > radius[node])
-        others[0] = False
-        result[node] = result[parent[node]] or _touches(tree, node, others)
+        if result[parent[node]]:
+            result[node] = True
+            continue
+        near = ((middle - middle[node]) ** 2).sum(axis=1) < (reach + reach[node] + 1.0) ** 2
+        near &= (parent != parent[node]) & (parent != node) & (is_terminal[node] | (radius > radius[node]))
+        near[[0, node, parent[node]]] = False
+        line = begin[node] + np.linspace(0.0, 1.0, 60)[:, None] * way[node]
+        # within the ball of its junction it meets what its parent and siblings meet
+        line = line[np.linalg.norm(line - begin[node], axis=1) > radius[parent[node]] + 3.0 * radius[node]]
+        square = np.maximum((way[near] ** 2).sum(axis=1), 1e-300)
+        share = np.clip(np.einsum("ijk,jk->ij", line[:, None] - begin[near], way[near]) / square, 0.0, 1.0)
+        apart = np.linalg.norm(line[:, None] - begin[near] - share[:, :, None] * way[near], axis=2) - radius[near]
+        result[node] = apart.min(initial=np.inf) < radius[node] + 1.0
     return result & is_terminal
-
-
-def _touches(tree: Tree, node: int, others: np.ndarray) -> bool:
-    """Whether the segment comes within a voxel of one of the ``others`` (N,), outside the ball of its junction, where
-    it meets what its parent and siblings meet."""
-    position, radius = tree.position_mm, tree.radius_mm
-    start, way = position[tree.parent[node]], position[node] - position[tree.parent[node]]
-    begin = position[tree.parent[1:]]
-    along = position[1:] - begin
-    reach = np.linalg.norm(along, axis=1) / 2 + radius[1:] + np.linalg.norm(way) / 2 + radius[node] + 1.0
-    near = others[1:] & (np.linalg.norm(begin + along / 2 - start - way / 2, axis=1) < reach)
-    begin, along, thick = begin[near], along[near], radius[1:][near]
-    line = start + np.linspace(0.0, 1.0, 60)[:, None] * way
-    line = line[np.linalg.norm(line - start, axis=1) > radius[tree.parent[node]] + 3.0 * radius[node]]
-    square = np.maximum((along**2).sum(axis=1), 1e-300)
-    share = np.clip(np.einsum("ijk,jk->ij", line[:, None] - begin, along) / square, 0.0, 1.0)
-    foot = begin + share[:, :, None] * along
-    return bool((np.linalg.norm(line[:, None] - foot, axis=2) - thick).min(initial=np.inf) < radius[node] + 1.0)
 
 
 def clear_tips(found: Tree, truth: Tree) -> tuple[int, int, bool]:
