@@ -45,4 +45,6 @@ def test_while_workers_start(tmp_path, after_s):
     assert out == ""
     assert "Traceback" not in err
     assert err.splitlines()[-1] == "vascval: interrupted; no unfinished file is left behind"
+    while begun_by(process.pid) and time.monotonic() < deadline:  # they may take a moment to go
+        time.sleep(0.02)
     assert begun_by(process.pid) == []

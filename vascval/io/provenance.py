@@ -41,13 +41,13 @@ def _digest(stream: BinaryIO) -> str:
     return digest.hexdigest()
 
 
-_DECIDING = ("../generator", "core", "imaging", "io", "morphometry")
+_DECIDING = ("../generator", "cli", "comparison", "core", "imaging", "io", "morphometry")
 
 
 @cache
 def code_sha256() -> str:
     """Hexadecimal SHA-256 of the sources that decide results, as they are at the first call: what tells two states of
-    one version apart. The command line and reports do not count."""
+    one version apart. Reports do not count."""
     here, digest = Path(vascval.__file__).parent, hashlib.sha256()
     for package in _DECIDING:
         folder = here / package
