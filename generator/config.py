@@ -54,8 +54,6 @@ class DomainConfig(_Model):
         if len(given) != 1:
             have = " and ".join(given) or "none of them"
             raise ValueError(f"one of box_mm, file and shape is needed, not {have}")
-        if self.file is None and (self.label is not None or self.closing_mm > 0.0):
-            raise ValueError("label and closing_mm are for a volume; name it in file, or leave them out")
         return self
 
 

@@ -290,7 +290,6 @@ def test_wrong_use(arguments, message, tmp_path, cast_file, tree_file, capsys, m
         (["nowhere.toml"], "nowhere.toml"),
         (["karch-box", "--set", "n_terminals=0"], "n_terminals"),
         (["karch-box", "--set", "n_terminals=99999999999999999999"], "n_terminals"),
-        (["karch-box", "--set", "domain.label=2"], "label and closing_mm are for a volume; name it in file"),
         (["karch-box", "--set", "domain.box_mm=1e-300,1,1"], "holds no vessels; give sides from 1 um"),
         (["karch-box", "--checkpoint-every", "nan"], "'nan' is not a finite number"),
         (["karch-box", "--set", "gamma=5"], "gamma"),
