@@ -110,6 +110,12 @@ class TopologyConfig(_Model):
     at: int = Field(default=500, ge=1, description="terminals at which growth pauses for it")
     tests: int = Field(default=300_000, ge=1, description="topologies tried by each chain")
     chains: int = Field(default=2, ge=1, description="independent searches, of which the best counts")
+    rounds: int = Field(
+        default=1,
+        ge=1,
+        description="times that all chains search; further rounds begin with the best tree, and after "
+        "them subtrees of all trees found are tried in the best",
+    )
     heat: float = Field(default=0.5, gt=0.0, description="start temperature, in median rises of the cost by a move")
     cooling: float = Field(default=120.0, ge=1.0, description="start over end temperature")
     lenience: float = Field(

@@ -88,16 +88,21 @@ class Annealing:
     :param parent, position_mm: as :class:`generator.topology.state.SearchTree` takes them.
     :param space: the domain as kernels see it; ``None``: all of space.
     :param shortest_mm: terminals are made no shorter than this.
+    :param start: the :attr:`best` of another chain that was made of the same tree: the search begins there, and its own
+        best is of what it finds itself.
     """
 
     def __init__(
         self, parent: np.ndarray, position_mm: np.ndarray, root_tree: RootTree, perfusion: Perfusion, *,
         space: Space | None = None, options: AnnealingOptions | None = None, shortest_mm: float = SHORTEST_MM,
-        rng: np.random.Generator,
+        start: np.ndarray | None = None, rng: np.random.Generator,
     ) -> None:  # fmt: skip
         self.options, self.rng = options or AnnealingOptions(), rng
         self.space = convex_space() if space is None else space
         self.tree = SearchTree(parent, position_mm, root_tree, perfusion, shortest_mm)
+        self._again = start is not None
+        if start is not None:
+            self.tree.state.node[:] = start
         self.cost = sweep(self.tree.state, self.tree.flat.order)
         self._eps = _EPS_RELAX * self.tree.mean_length_mm
         if self.space.convex:
@@ -115,12 +120,13 @@ class Annealing:
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """The best tree so far, as :meth:`SearchTree.arrays` gives it."""
+        return self.tree.arrays(self.best)
+
+    @property
+    def best(self) -> np.ndarray:
+        """The records of the best tree so far, a copy."""
         with self._between_blocks:
-            present = self.tree.state.node.copy()
-            self.tree.state.node[:] = self._best
-            result = self.tree.arrays()
-            self.tree.state.node[:] = present
-        return result
+            return self._best.copy()
 
     def steps(self) -> Iterator[AnnealingStep]:
         """All tests, a block at a time; trees of fewer than three terminals have no other topology and take none."""
@@ -147,6 +153,8 @@ class Annealing:
         self._lay()
         if done == 0:
             self._rise = self._median_rise()
+            if self._again:
+                self._best_cost = np.inf
         temperature = options.heat * self._rise * options.cooling ** (-done / options.tests)
         least, most = (int(per * self.tree.n_terminals) for per in _BLOCK_PER_TERMINAL)
         count = min(max(_BLOCK, least), most, options.tests - done)
@@ -168,8 +176,8 @@ class Annealing:
                 "rng": words_of(self.rng),
                 "n_tests": np.array([self.n_tests], np.int64),
                 "numbers": np.array([self.cost, self._best_cost, self._rise]),
-                "node": _bytes_of(self.tree.state.node),
-                "best": _bytes_of(self._best),
+                "node": bytes_of(self.tree.state.node),
+                "best": bytes_of(self._best),
                 "counts": self.tree.state.counts.copy(),
                 "share": self.tree.state.share.copy(),
             }
@@ -267,6 +275,6 @@ def _exhaust(chain: Annealing, stop: threading.Event) -> None:
             break
 
 
-def _bytes_of(node: np.ndarray) -> np.ndarray:
+def bytes_of(node: np.ndarray) -> np.ndarray:
     """(N, bytes) a copy of the records as plain bytes."""
     return node.view(np.uint8).reshape(node.size, -1).copy()

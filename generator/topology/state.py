@@ -97,9 +97,11 @@ class SearchTree:
             and (node["n"][fixed:] >= 1).all()
         )
 
-    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """``parent`` (N,) and ``position_mm`` (N, 3), root first, the root tree's nodes before all others."""
-        node, fixed = self.state.node, self.state.n_fixed
+    def arrays(self, node: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """``parent`` (N,) and ``position_mm`` (N, 3), root first, the root tree's nodes before all others; of the
+        tree as it is, or as these records have it."""
+        node = self.state.node if node is None else node
+        fixed = self.state.n_fixed
         order = root_first(node["parent"])
         order = np.concatenate((np.arange(fixed), order[order >= fixed]))
         rank = np.empty(order.size, np.int32)
