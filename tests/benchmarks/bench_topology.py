@@ -1,6 +1,7 @@
 """Search over topologies: volume by number of tests, tests per second, and the optimum of small trees.
 
-``python -m tests.benchmarks.bench_topology [tests|reduction|optima|orders ...]`` prints tables; without arguments all.
+``python -m tests.benchmarks.bench_topology [tests|reduction|optima|orders|rounds ...]`` prints tables; all of them
+without arguments.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from itertools import permutations
 
 import numpy as np
 
+from generator.config import load
+from generator.framework import Run
 from generator.growth.growth import Growth
 from generator.haemodynamics import perfused_tree
 from generator.topology.annealing import Annealing, AnnealingOptions
@@ -80,6 +83,33 @@ def tests(
     header = ("terminals of", "l_min mm", "tests", "growth mm^3", "geometry", "topology", "best", "less than growth",
               "known before", "CPU s", "tests per CPU s")  # fmt: skip
     return table(header, rows)
+
+
+def rounds(
+    names: Sequence[str] = tuple(KNOWN), searches: Sequence[tuple[int, int, int]] = ((4, 300_000, 2), (10, 700_000, 2)),
+    seeds: Sequence[int] = (1, 2),
+) -> str:  # fmt: skip
+    """Volume after several rounds of several chains whose trees are crossed in the end, on the same terminals."""
+    rows: list[list[object]] = []
+    for name in names:
+        if not (TERMINALS / f"{name}.csv").exists():
+            rows.append([name, "terminals not there", *[""] * 6])
+            continue
+        for chains, count, times in searches:
+            for seed in seeds:
+                changes = [
+                    f"terminals_file={TERMINALS / name}.csv", "method=full", f"seed={seed}", "geometry.l_min_mm=0",
+                    "geometry.contract=false", "topology.cooling=400", "topology.lenience=0.85",
+                    f"topology.chains={chains}", f"topology.tests={count}", f"topology.rounds={times}",
+                ]  # fmt: skip
+                run, began = Run.of(load("karch-box", changes)), time.process_time()
+                for _ in run.steps():
+                    pass
+                rows.append(
+                    [name, chains, f"{count:,}", times, seed, f"{run.tree().volume_mm3:.2f}", KNOWN[name],
+                     f"{time.process_time() - began:.0f}"]
+                )  # fmt: skip
+    return table(("terminals of", "chains", "tests each", "rounds", "seed", "mm^3", "known before", "CPU s"), rows)
 
 
 def reduction(seeds: int = 10, count: int = 1_000_000, n_terminals: int = 500) -> str:
@@ -162,7 +192,9 @@ def overlay(tree: Tree, other: Tree, thick: float = 1.0 / 3.0) -> tuple[float, f
     return float(np.average(distance, weights=weight)), float(np.average(distance <= 1.0, weights=weight))
 
 
-TABLES: dict[str, Callable[[], str]] = {"tests": tests, "reduction": reduction, "optima": optima, "orders": orders}
+TABLES: dict[str, Callable[[], str]] = {
+    "tests": tests, "reduction": reduction, "optima": optima, "orders": orders, "rounds": rounds
+}  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -59,6 +59,7 @@ def made(folder, *changes) -> tuple[Run, Tree]:
 GEOMETRY, FULL = ("method=geometry", "geometry.every=5"), ("method=full", "topology.at=8", "topology.tests=60")
 SURFACE, VOXELS = ("domain.file={folder}/ell.obj", ELL_ROOT), ("domain.file={folder}/ell.nrrd", ELL_ROOT)
 GIVEN = "terminals_file={folder}/points.csv"
+ROUNDS = "topology.rounds=2"
 ROOT_TREE = "root_tree={folder}/root.vtp"
 
 
@@ -82,6 +83,8 @@ ROOT_TREE = "root_tree={folder}/root.vtp"
         (*GEOMETRY, ROOT_TREE),
         (*FULL, "topology.swaps=0.5"),
         (*FULL, ROOT_TREE),
+        (*FULL, ROUNDS),
+        (*FULL, ROUNDS, ROOT_TREE),
     ],
     ids=lambda changes: " ".join(changes).replace("{folder}/", "") or "plain",
 )
@@ -100,7 +103,7 @@ def test_a_tree_of_a_dozen_holds_its_laws(folder, changes):
 
 
 @pytest.mark.parametrize("domain", [SURFACE, VOXELS], ids=["surface", "voxels"])
-@pytest.mark.parametrize("method", [(), GEOMETRY, FULL], ids=["cco", "geometry", "full"])
+@pytest.mark.parametrize("method", [(), GEOMETRY, FULL, (*FULL, ROUNDS)], ids=["cco", "geometry", "full", "rounds"])
 def test_nothing_crosses_the_inner_corner(folder, domain, method):
     _, tree = made(folder, *domain, *method)
     along = np.linspace(0.0, 1.0, 50)[:, None, None]
