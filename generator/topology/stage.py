@@ -124,9 +124,12 @@ class TopologyStage:
             yield replace(self.history[-1], best_mm3=self.best_mm3)
 
     def _record(self, step: AnnealingStep) -> AnnealingStep:
-        tests = self.config.topology.tests
-        before = len(self._now[0]) // self.config.topology.chains * tests
-        step = replace(step, n_tests=before + step.n_tests, n_target=tests * self.config.topology.rounds)
+        found, topology = self._now[0], self.config.topology
+        step = replace(
+            step, n_tests=len(found) // topology.chains * topology.tests + step.n_tests,
+            n_target=topology.tests * topology.rounds,
+            best_mm3=min([step.best_mm3, *(one.best_mm3 for one in found)]),
+        )  # fmt: skip
         if self.history and step.n_tests <= self.history[-1].n_tests:
             return step  # of another chain: those follow the first one where there is one thread
         before = self.history[-2].n_tests if len(self.history) > 1 else 0

@@ -174,6 +174,7 @@ def test_further_rounds_find_better_trees():
     history = double.topology.history
     assert history[-1].n_tests == history[-1].n_target == 9000
     assert (np.diff([step.n_tests for step in history]) > 0).all()
+    assert (np.diff([step.best_mm3 for step in history]) <= 0).all()
 
 
 @pytest.mark.parametrize("at", [1500, 4500, 5990])
