@@ -108,7 +108,7 @@ number beside ours and the reason where they differ. All pages, tables, figures 
 python -m reports.make
 ```
 
-which takes a quarter of an hour of processor time; `python -m reports.make --small` runs everything on tiny trees in
+which takes twenty minutes of processor time; `python -m reports.make --small` runs everything on tiny trees in
 seconds. The paper states few numbers, and the values behind its figures are not available: where a page has no
 number of the paper, it says what the paper describes in words.
 

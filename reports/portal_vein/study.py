@@ -3,94 +3,202 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from reports.common.figures import LOOKS, panels, save
+from reports.common.figures import INK, LOOKS, panels, save
 from reports.common.pages import Compared, Facts, Page, table, write_csv
-from reports.common.trees import Made, made, measured
+from reports.common.trees import measured
 from reports.common.tubes import Layer, View, write_views
+from reports.portal_vein.change import (
+    ALL,
+    AS_GROWN,
+    FIRST,
+    RADII,
+    at_equal_flow,
+    by_generation,
+    change,
+    changes,
+    with_errors,
+)
+from reports.portal_vein.trees import BEST, GROWN, ONCE, trees
+from vascval.core.tree import Tree
 from vascval.io.documents import ReferenceTable, read_reference_table
+from vascval.report.formats import missing
 from vascval.report.plots import plain_log, whole_ticks
 
 TITLE = "The portal vein"
-FULL = {"n_terminals": 24_000, "topology": {}}
-SMALL = {"n_terminals": 80, "topology": {"topology__at": 40, "topology__tests": 500}}
+FULL = {"n_terminals": 24_000, "seeds": tuple(range(1, 11)), "topology": ()}
+SMALL = {"n_terminals": 80, "seeds": (1, 2, 3), "topology": ("topology.at=40", "topology.tests=500")}
 CAST_TABLE = "VASCVAL_CAST_TABLE"
 """Environment variable with the file of a published table by generation, for whoever has one."""
+CAST = "cast"
 MEASURES = {
     "n_segments": "Number of vessels",
     "radius_mean_mm": "Mean radius (mm)",
     "branching_ratio_mean": "Mean branching ratio",
 }
+LOOK: dict[str, dict[str, Any]] = {
+    GROWN: LOOKS["cco"], BEST: LOOKS["optimised"], ONCE: LOOKS["third"], CAST: LOOKS["cast"],
+}  # fmt: skip
+SHOWN = [*(str(g) for g in range(1, FIRST + 1)), ALL]
+USUAL, SAME_FLOW = next(iter(RADII)), "of which radius at equal flow"
 
 
-def trees(n_terminals: int, topology: Mapping[str, object]) -> tuple[Made, Made]:
-    """The tree grown by CCO alone and the one of the whole framework."""
-    return (
-        made("portal-vein", n_terminals=n_terminals, method="cco"),
-        made("portal-vein", n_terminals=n_terminals, method="full", **topology),
-    )
-
-
-def study(folder: Path, n_terminals: int, topology: Mapping[str, object]) -> Page:
-    facts = Facts("portal_vein")
-    cco, best = trees(n_terminals, topology)
-    rows = {"growth alone": measured(cco.tree).generations, "optimised": measured(best.tree).generations}
+def study(folder: Path, n_terminals: int, seeds: Sequence[int], topology: tuple[str, ...]) -> Page:
+    made = trees(n_terminals, seeds, topology)
+    rows = by_generation(made, seeds)
+    write_csv(rows, folder / "generations.csv")
     cast = cast_table()
-    if cast is not None:
-        rows["cast"] = cast.generations
-    frame = side_by_side(rows)
+    frame = side_by_side(rows, cast)
     write_csv(frame, folder / "table.csv")
-    draw(folder, rows, cast)
-    views = [View("Growth alone", [Layer(cco.tree)]), View("Geometry and topology optimised", [Layer(best.tree)])]
+    moved = changes(rows)
+    write_csv(moved, folder / "changes.csv")
+    draw(folder, rows, cast, made)
+    views = [
+        View("Growth alone", [Layer(made[GROWN][0])]),
+        View("Geometry and topology optimised", [Layer(made[BEST][0])]),
+    ]
     write_views(folder, views, columns=2, width_in=5.0, name="vessels")
-    thinnest = rows["optimised"].iloc[-1]
-    last, n_generations = float(thinnest["radius_mean_mm"]), len(rows["optimised"])
-    common = frame[frame["generation"].between(1, 6)]
-    wider, ratio = (
-        100 * float((common[f"{name}_optimised"] / common[f"{name}_growth_alone"] - 1).mean())
-        for name in ("radius_mean_mm", "branching_ratio_mean")
-    )
-    horton = measured(best.tree).horton.query("ordering == 'strahler' and quantity == 'number'")
-    factor = float(horton["ratio"].iloc[-1])
-    less = 100 * (1 - best.volume_mm3 / cco.volume_mm3)
+    best = rows[rows["tree"] == BEST]
+    n_generations = int(best["generation"].max())
+    last_mm = float(frame["radius_mean_mm_optimised"].dropna().iloc[-1])
+    facts = Facts("portal_vein")
     said = "up to {:.0f}".format(facts["generations of the optimised tree (up to)"])
+    volume = pd.Series([100 * (b.volume_mm3 / g.volume_mm3 - 1) for g, b in zip(made[GROWN], made[BEST])])
     headline = (
-        f"At {n_terminals:,} terminals the optimised tree has {n_generations} generations (paper {said}) and "
-        f"{less:.1f} % less volume than growth alone; in generations 1 to 6 radii change by "
-        f"{wider:+.1f} %, branching ratios by {ratio:+.1f} %."
+        f"At {n_terminals:,} terminals {n_generations} generations (paper {said}) and {-volume.mean():.1f} % less "
+        f"volume than growth alone; radii of generations {ALL} change by {spread(moved, BEST, USUAL)} %, contracted "
+        f"once like the paper's by {spread(moved, ONCE, USUAL)} % (paper: larger), branching ratios by "
+        f"{spread(moved, BEST, 'branching ratio')} %: means of {len(seeds)} seeds and their standard errors."
     )
     text = f"""
 `portal-vein`: the paper's parameters (table 3) with the {n_terminals:,} terminals of its text, in the bundled
 liver-like shape of 1,500 cm³, since the perfusion volume of the paper's liver is not published. All measures by the
-definitions of `vascval analyze`, the same for both trees.
+definitions of `vascval analyze`, the same for all trees. For each of {len(seeds)} seeds there is a tree of growth
+alone and two of the whole framework, which differ in what comes after the last geometry programme: "{BEST}" is what
+this project does by default (contract, optimise again, split junctions where that pays), "{ONCE}" what
+the paper's Algorithm 1 says (contract). Means over the seeds; the pictures above are of seed {seeds[0]}.
 
 {table(frame)}
 
 {cast_words(cast)}
 
 The paper's figures are not available as numbers; in words, the number of vessels differs little between grown and
-optimised tree, mean radii of generations 1 to 6 are larger when optimised, and branching ratios of generations 4 to
+optimised tree, mean radii of generations {ALL} are larger when optimised, and branching ratios of generations 4 to
 6 lower. The mean radius of its cast at generation 13 is {facts["mean radius of the cast at generation 13"]:g} mm;
-our trees end at generation {n_generations} with a mean of {last:.3f} mm, having {n_terminals:,} terminals where the
+our trees end at generation {n_generations} with a mean of {last_mm:.3f} mm, having {n_terminals:,} terminals where the
 cast has all of its vessels down to the lobules. The number of Strahler generations of a tree is fixed by its number
-of terminals and by how symmetric it is: one generation more needs {factor:.1f} times
-the terminals, by the number ratio of its elements. Radii by
-generation move with the way the vessels are numbered too: where optimising shifts a vessel to another generation,
-the mean of both changes though no vessel became wider.
+of terminals and by how symmetric it is: one generation more needs {number_ratio(made[BEST]):.1f} times
+the terminals, by the number ratio of its elements.
+
+{radius_words(rows, moved, n_seeds=len(seeds))}
 """
-    return Page(headline, compared(facts, n_generations, last, less, wider, ratio), text)
+    return Page(headline, compared(facts, n_generations, last_mm, volume, moved), text)
+
+
+def number_ratio(made: Sequence[Tree]) -> float:
+    """Terminals of a tree with one generation more over those of a tree like these."""
+    horton = [measured(tree).horton.query("ordering == 'strahler' and quantity == 'number'") for tree in made]
+    return float(np.mean([rows["ratio"].iloc[-1] for rows in horton]))
+
+
+def radius_words(rows: pd.DataFrame, moved: pd.DataFrame, n_seeds: int) -> str:
+    """Whether radii of the first generations grow, by which measure, and why."""
+    single = change(rows, "radius_mean_mm", BEST).loc[ALL]
+    return f"""## Are the radii of generations {ALL} larger?
+
+Per cent by which the two trees of a seed differ: mean over the seeds and its standard error. The first measure, the
+mean over the segments of a generation, is the one of `vascval analyze` and of the headline; the others show how much
+hangs on it. In the fourth, growth is not contracted before it is measured, as in the paper.
+
+{changes_table(moved)}
+
+By the first measure radii are, of generations,
+
+* {BEST}: {verdict(moved, BEST)};
+* {ONCE}: {verdict(moved, ONCE)}.
+
+Where it comes from is in the last two rows of each tree, whose product is the first. At equal flow, that is among
+vessels that feed as many terminals, radii of generations {ALL} change by {spread(moved, BEST, SAME_FLOW)} %
+({spread(moved, ONCE, SAME_FLOW)} % contracted once), nearly the same in all generations and all seeds. It cannot be
+otherwise: with the exponent 3 of this tree the cube of a radius is the sum of the cubes of the radii of the
+terminals that it feeds, so that no generation can widen on its own, and shorter ways to the terminals at the same
+drop of pressure need narrower vessels. The paper supposes that shorter intermediate generations lead to larger
+radii; Poiseuille's law has it the other way.
+
+All the rest is numbering, the number of terminals that a vessel of a generation feeds, and so is nearly all of the
+scatter between seeds. Two things move it. Asymmetry: optimised trees have fewer and thus larger subtrees in the
+intermediate generations, while the trunk goes on farther, giving off smaller branches, before its order falls.
+And contraction: where children of orders 1, 1 and 2 meet in one point their parent has order 2, where two
+bifurcations can give 3, so that in a contracted tree vessels of the same order feed more terminals. Splitting
+junctions where that pays, as is done by default, takes most of this back.
+
+One pair of trees cannot decide it. Of these {n_seeds} pairs the change in generations {ALL} goes from
+{single.min():+.1f} to {single.max():+.1f} % ({BEST}). And where the root of one tree of a pair has one order more than
+the other's, every generation is compared with another one. That is so in
+
+* {BEST}: {depths(rows, BEST, GROWN)};
+* {ONCE}: {depths(rows, ONCE, GROWN)};
+* {ONCE}, growth not contracted (what the paper compares): {depths(rows, ONCE, AS_GROWN)}.
+"""
+
+
+def depths(rows: pd.DataFrame, kind: str, against: str) -> str:
+    """The pairs whose trees differ in their number of generations, the change of the radius there and in the rest."""
+    deepest = rows.groupby(["tree", "seed"])["generation"].max().unstack("tree")
+    uneven = deepest[kind] != deepest[against]
+    percent = change(rows, "radius_mean_mm", kind, against).loc[[ALL]]
+    if not uneven.any():
+        return f"none of {len(uneven)} pairs"
+    found = ", ".join(f"{percent.loc[ALL, seed]:+.1f} %" for seed in deepest.index[uneven])
+    rest = with_errors(percent.loc[:, list(deepest.index[~uneven])]).loc[ALL]
+    others = "" if missing(rest["change"]) else f"; {cell(rest['change'], rest['error'])} % in the others"
+    return f"{uneven.sum()} of {len(uneven)} pairs ({found}{others})"
+
+
+def verdict(moved: pd.DataFrame, kind: str) -> str:
+    """In which generations the usual measure grows or falls by more than two standard errors."""
+    rows = moved[(moved["tree"] == kind) & (moved["measure"] == USUAL) & moved["generation"].isin(SHOWN)]
+    name = rows["generation"].replace(ALL, f"{ALL} on average")
+    errors = rows["change"] / rows["error"]
+    found = {
+        "larger in": errors > 2,
+        "smaller in": errors < -2,
+        "not changed beyond two standard errors in": ~(errors.abs() > 2),
+    }
+    return "; ".join(f"{said} {', '.join(name[which])}" for said, which in found.items() if which.any())
+
+
+def changes_table(moved: pd.DataFrame) -> str:
+    """Changes of the radius by tree and measure (rows) and generation."""
+    shown = moved[moved["generation"].isin(SHOWN)]
+    wide = shown.assign(text=[cell(*pair) for pair in zip(shown["change"], shown["error"])])
+    frame = wide.pivot(index=["tree", "measure"], columns="generation", values="text").fillna("")
+    order = [(kind, measure) for kind in (BEST, ONCE) for measure in RADII]
+    return table(frame.loc[order, [*frame.columns.drop(ALL), ALL]].reset_index())
+
+
+def cell(mean: float, error: float) -> str:
+    return f"{mean:+.1f}" + ("" if missing(error) else f" ± {error:.{1 if error >= 0.05 else 2}f}")
+
+
+def spread(moved: pd.DataFrame, kind: str, measure: str) -> str:
+    """The change of a measure over the first generations, with its standard error."""
+    row = moved[(moved["tree"] == kind) & (moved["measure"] == measure) & (moved["generation"] == ALL)].iloc[0]
+    return cell(row["change"], row["error"])
 
 
 def compared(
-    facts: Facts, n_generations: int, last_mm: float, less: float, wider: float, ratio: float
+    facts: Facts, n_generations: int, last_mm: float, volume: pd.Series, moved: pd.DataFrame
 ) -> list[Compared]:
     """Beside the paper: generations, mean radius of the last one, and percent by which optimising changes the rest."""
+    larger, where = "larger (in words)", "section 3.2"
+    radius = f"mean radius, generations {ALL}, against growth"
     return [
         facts.compared("generations of the optimised tree (up to)", n_generations),
         facts.compared(
@@ -98,16 +206,15 @@ def compared(
             last_mm,
             f"mean radius at the last generation (cast: 13, here: {n_generations})",
         ),
-        Compared("volume against growth alone", None, f"{-less:+.1f} %"),
+        Compared("volume against growth alone", None, f"{cell(volume.mean(), volume.sem())} %"),
+        Compared(radius, larger, f"{spread(moved, BEST, USUAL)} %", "", where),
+        Compared(f"{radius}, contracted once", larger, f"{spread(moved, ONCE, USUAL)} %", "", where),
         Compared(
-            "mean radius, generations 1 to 6, against growth", "larger (in words)", f"{wider:+.1f} %", "", "section 3.2"
-        ),
-        Compared(
-            "branching ratio, generations 1 to 6, against growth",
+            f"branching ratio, generations {ALL}, against growth",
             "lower, 4 to 6 most (in words)",
-            f"{ratio:+.1f} %",
+            f"{spread(moved, BEST, 'branching ratio')} %",
             "",
-            "section 3.2",
+            where,
         ),
     ]
 
@@ -127,30 +234,73 @@ def cast_words(cast: ReferenceTable | None) -> str:
     return f"Cast: {cast.source}. {cast.citation}"
 
 
-def side_by_side(rows: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """One row per generation, one column per measure and tree."""
+def side_by_side(rows: pd.DataFrame, cast: ReferenceTable | None) -> pd.DataFrame:
+    """One row per generation, one column per measure and tree: means over the seeds."""
     parts = []
     for measure in MEASURES:
-        for name, frame in rows.items():
-            if measure in frame:
-                parts.append(frame.set_index("generation")[measure].rename(f"{measure}_{name.replace(' ', '_')}"))
+        for name in (GROWN, BEST, ONCE):
+            mean = rows[rows["tree"] == name].groupby("generation")[measure].mean()
+            parts.append(mean.rename(f"{measure}_{name.replace(' ', '_')}"))
+        if cast is not None and measure in cast.generations:
+            parts.append(cast.generations.set_index("generation")[measure].rename(f"{measure}_{CAST}"))
     return pd.concat(parts, axis=1).sort_index().rename_axis("generation").reset_index()
 
 
-def draw(folder: Path, rows: Mapping[str, pd.DataFrame], cast: ReferenceTable | None) -> None:
-    figure, axes = panels(3, width_in=3.6)
-    looks: dict[str, Any] = {"growth alone": LOOKS["cco"], "optimised": LOOKS["optimised"], "cast": LOOKS["cast"]}
+def draw(folder: Path, rows: pd.DataFrame, cast: ReferenceTable | None, made: Mapping[str, Sequence[Tree]]) -> None:
+    figure, axes = panels(3, 2, width_in=3.6)
     for place, (measure, title) in zip(axes, MEASURES.items()):
-        for name, frame in rows.items():
-            if measure in frame:
-                shown = frame[np.isfinite(frame[measure].astype(float))]
-                place.plot(shown["generation"], shown[measure], label=name, **looks[name])
+        draw_measure(place, rows, cast, measure)
         place.set(title=title, xlabel="generation")
-        whole_ticks(place.xaxis)
-        if measure == "branching_ratio_mean":
-            place.set_ylim(0, 1)
-        else:
-            place.set_yscale("log")
-            plain_log(place.yaxis)
+    largest = (
+        draw_changes(axes[3], rows, "radius_mean_mm", seeds=True),
+        draw_changes(axes[4], rows, "root_of_terminals"),
+    )
+    axes[3].set(title="Mean radius, change (%)", xlabel="generation")
+    axes[4].set(title="By numbering alone, change (%)", xlabel="generation")
+    for kind in (BEST, ONCE):
+        seen = with_errors(pd.concat([at_equal_flow(*pair) for pair in zip(made[GROWN], made[kind])], axis=1))
+        axes[5].errorbar(seen.index, seen["change"], seen["error"], capsize=2.0, **LOOK[kind])
+    axes[5].set(title="Radius at equal flow, change (%)", xlabel="terminals fed", xscale="log")
+    plain_log(axes[5].xaxis)
+    for place in axes[3:]:
+        place.axhline(0.0, color=INK, linewidth=0.8)
+        place.set_ylim(-1.1 * max(largest), 1.1 * max(largest))
     axes[0].legend()
     save(figure, folder)
+
+
+def draw_measure(place: Any, rows: pd.DataFrame, cast: ReferenceTable | None, measure: str) -> None:
+    """Means over the seeds, and a band of one standard deviation to both sides."""
+    for name in (GROWN, BEST, ONCE):
+        by = rows[rows["tree"] == name].groupby("generation")[measure]
+        mean, sd = by.mean().dropna(), by.std(ddof=1)
+        sd = sd.loc[mean.index].fillna(0.0)
+        place.plot(mean.index, mean, label=name, **LOOK[name])
+        place.fill_between(
+            mean.index, np.maximum(mean - sd, mean / 3), mean + sd, color=LOOK[name]["color"], alpha=0.15
+        )
+    if cast is not None and measure in cast.generations:
+        shown = cast.generations[np.isfinite(cast.generations[measure].astype(float))]
+        place.plot(shown["generation"], shown[measure], label=CAST, **LOOK[CAST])
+    whole_ticks(place.xaxis)
+    if measure == "branching_ratio_mean":
+        place.set_ylim(0, 1)
+    else:
+        place.set_yscale("log")
+        plain_log(place.yaxis)
+
+
+def draw_changes(place: Any, rows: pd.DataFrame, measure: str, *, seeds: bool = False) -> float:
+    """Changes by generation with standard errors, those of single seeds behind them; how far the bars reach."""
+    reach = 0.0
+    for kind, shift in ((BEST, -0.12), (ONCE, 0.12)):
+        percent = change(rows, measure, kind).drop(index=ALL).dropna(how="all")
+        at = percent.index.astype(int).to_numpy() + shift
+        if seeds:
+            for seed in percent:
+                place.plot(at, percent[seed], ".", color=LOOK[kind]["color"], alpha=0.35, markersize=4)
+        mean = with_errors(percent)
+        place.errorbar(at, mean["change"], mean["error"], capsize=2.0, **LOOK[kind])
+        reach = max(reach, float((mean["change"].abs() + mean["error"].fillna(0.0)).max()))
+    whole_ticks(place.xaxis)
+    return reach
