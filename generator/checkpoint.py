@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from generator.code_checksum import code_sha256
 from vascval.core.errors import InputError
 from vascval.io.atomic import atomic_file
-from vascval.io.provenance import code_sha256
 
 CODE_SHA256 = code_sha256()
 """Of the sources as this is imported, when a run begins; they may change while it lasts."""

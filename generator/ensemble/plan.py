@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import vascval
+from generator.code_checksum import code_sha256
 from generator.config import Config, load
 from vascval.core.errors import InputError
-from vascval.io.provenance import code_sha256, sha256
+from vascval.io.provenance import sha256
 
 CODE = "code"
 FILES = ("domain.file", "root_tree", "terminals_file")

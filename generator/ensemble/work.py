@@ -15,6 +15,7 @@ from typing import Any
 from numba.core import event
 
 import vascval
+from generator.code_checksum import code_sha256
 from generator.config import Config
 from generator.ensemble.plan import CODE, Order, identity
 from generator.framework import Run, read_points
@@ -22,7 +23,7 @@ from vascval.core.errors import InputError, VascvalError
 from vascval.core.threads import VARIABLE
 from vascval.core.tree import Tree
 from vascval.core.validation import Claims
-from vascval.io.provenance import code_sha256, provenance
+from vascval.io.provenance import provenance
 from vascval.io.trees import write_tree
 
 Measure = Callable[[Tree, str], dict[str, Any]]

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-import vascval
-from vascval.io.provenance import code_sha256
+from generator import code_checksum
+from generator.code_checksum import code_sha256
 
 FRESH = code_sha256.__wrapped__
 
@@ -14,10 +14,10 @@ FRESH = code_sha256.__wrapped__
 @pytest.fixture(name="copy")
 def _copy(tmp_path, monkeypatch):
     """A copy of the sources that may be changed."""
-    root = Path(vascval.__file__).parents[1]
+    root = Path(code_checksum.__file__).parents[1]
     for package in ("vascval", "generator"):
         shutil.copytree(root / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(vascval, "__file__", str(tmp_path / "vascval/__init__.py"))
+    monkeypatch.setattr(code_checksum, "_ROOT", tmp_path)
     return tmp_path
 
 

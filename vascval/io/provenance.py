@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -38,21 +37,6 @@ def _digest(stream: BinaryIO) -> str:
     digest = hashlib.sha256()
     while block := stream.read(1 << 20):
         digest.update(block)
-    return digest.hexdigest()
-
-
-_DECIDING = ("../generator", "cli", "comparison", "core", "imaging", "io", "morphometry")
-
-
-@cache
-def code_sha256() -> str:
-    """Hexadecimal SHA-256 of the sources that decide results, as they are at the first call: what tells two states of
-    one version apart. Reports do not count."""
-    here, digest = Path(vascval.__file__).parent, hashlib.sha256()
-    for package in _DECIDING:
-        folder = here / package
-        for path in sorted(folder.rglob("*.py")):
-            digest.update(f"{package}/{path.relative_to(folder).as_posix()} {sha256(path)}\n".encode())
     return digest.hexdigest()
 
 
