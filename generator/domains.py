@@ -15,7 +15,14 @@ from vascval.io.volumes import is_volume_path, read_volume
 
 
 def make_domain(config: DomainConfig) -> Domain:
-    """:raises InputError: when the file is missing, foreign or damaged, or what it holds is no domain; it is named."""
+    """:raises InputError: when the file is missing, foreign or damaged, or what it holds is no domain; it is named.
+    Also for a label where there is no volume."""
+    if config.label is not None and (config.file is None or config.file.suffix.lower() in SUFFIXES):
+        here = "the domain is no file" if config.file is None else f"{config.file} is a surface"
+        raise InputError(
+            f"domain.label {config.label}: chooses a part of a label volume, but {here}; name a volume as domain.file, "
+            "or leave domain.label out"
+        )
     if config.box_mm is not None:
         return Box(np.array(config.box_mm))
     if config.shape is not None:

@@ -220,6 +220,16 @@ def test_surface_files(tmp_path, suffix):
         read_surface(path)
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [({"shape": "liver"}, "the domain is no file"), ({"box_mm": (9, 9, 9)}, "the domain is no file"),
+     ({"file": "liver.stl"}, "liver.stl is a surface")],
+)  # fmt: skip
+def test_a_label_without_a_volume_is_refused(given, said):
+    with pytest.raises(InputError, match=rf"domain.label 5: .* but {said}; name a volume as domain.file, or leave"):
+        make_domain(DomainConfig(label=5, **given))
+
+
 def test_volume_files_and_foreign_ones(tmp_path):
     write_volume(turned(bent_mask()), tmp_path / "mask.nrrd")
     assert make_domain(DomainConfig(file=tmp_path / "mask.nrrd")).volume_mm3 > 0
