@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vascval.core.borrowing import borrowing
 from vascval.core.jit import njit
 
 OUTSIDE, INSIDE, WALL = 0, 1, 2
@@ -31,7 +32,7 @@ class Space(NamedTuple):
     triangle: np.ndarray
 
 
-@njit
+@borrowing
 def crosses(triangle, ax, ay, az, dx, dy, dz, slack):
     """Does the segment from ``a`` along ``d`` meet the triangle (3, 3), widened by ``slack`` (Moeller and Trumbore)?"""
     e1x, e1y, e1z = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
@@ -52,7 +53,7 @@ def crosses(triangle, ax, ay, az, dx, dy, dz, slack):
     return -slack <= t <= 1.0 + slack
 
 
-@njit
+@borrowing
 def crosses_wall(space, cell, ax, ay, az, dx, dy, dz):
     for k in range(space.offset[cell], space.offset[cell + 1]):
         if crosses(space.triangle[space.wall[k]], ax, ay, az, dx, dy, dz, GRAZE):
@@ -60,7 +61,7 @@ def crosses_wall(space, cell, ax, ay, az, dx, dy, dz):
     return False
 
 
-@njit
+@borrowing
 def first_crossing(start, step):
     """Along one axis: direction of travel, parameter of the first cell face ahead and parameter from face to face."""
     if step > 0.0:
@@ -70,7 +71,7 @@ def first_crossing(start, step):
     return 0, np.inf, np.inf
 
 
-@njit
+@borrowing
 def segment_inside(space, ax, ay, az, bx, by, bz):
     """Is the straight segment from ``a``, which is inside, to ``b`` inside? Walks through the cells that it crosses."""
     m = space.to_cell

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from vascval.core.jit import njit
+from vascval.core.borrowing import borrowing
 
 NOWHERE, AT_FIRST, AT_SECOND, AT_THIRD = 0, 1, 2, 3
 
 
-@njit
+@borrowing
 def fermat(ax, ay, az, bx, by, bz, cx, cy, cz, wa, wb, wc):
     """The point whose weighted distances to three points sum to the least, and which of the three it falls on.
 

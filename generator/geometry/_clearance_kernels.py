@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from vascval.core.borrowing import borrowing
 from vascval.core.jit import njit
 
 
-@njit
+@borrowing
 def square_between(a, b, c, d):
     """Square of the distance between the segments from ``a`` to ``b`` and from ``c`` to ``d``.
 
@@ -32,7 +33,7 @@ def square_between(a, b, c, d):
     return total
 
 
-@njit
+@borrowing
 def mark_overlapping(parent, position, radius, margin, order, low, high, marked):
     """Mark the segments that come closer than ``margin`` times the sum of radii to one with which they share no node.
 

@@ -7,12 +7,12 @@ constant one.
 
 import math
 
-from vascval.core.jit import njit
+from vascval.core.borrowing import borrowing
 
 TINY_MM = 1e-12
 
 
-@njit
+@borrowing
 def lengths(parent, position, eps, chord, length):
     """True lengths ``|d|`` and smoothed ones ``sqrt(|d|^2 + eps^2)``."""
     for i in range(1, parent.size):
@@ -25,7 +25,7 @@ def lengths(parent, position, eps, chord, length):
         length[i] = math.sqrt(square + eps * eps)
 
 
-@njit
+@borrowing
 def radii(parent, length, n, gamma, factor, fixed_radius, stem, base, radius, rho, q, total):
     """Leaf to root ``rho``, its power ``q = rho^(gamma/4)`` and their sums ``total`` at each node; then the radii.
 
@@ -53,7 +53,7 @@ def radii(parent, length, n, gamma, factor, fixed_radius, stem, base, radius, rh
             radius[i] = radius[p] * math.sqrt(math.sqrt(rho[i])) / total[p] ** (1.0 / gamma[p])
 
 
-@njit
+@borrowing
 def adjoint(parent, length, n, gamma, factor, free, rho, q, total, lump, push, lift, below, slope, stretch):
     """Derivatives of a cost by the lengths and by the viscosity factors, given those by radii and lengths.
 
@@ -90,7 +90,7 @@ def adjoint(parent, length, n, gamma, factor, free, rho, q, total, lump, push, l
             slope[i] = lift[i] + stretch[i] / length[i]
 
 
-@njit
+@borrowing
 def pull(parent, position, moves, chord, length, slope, hold, gradient):
     """Derivatives by the positions from those by the lengths, ``slope`` by the smoothed, ``-hold`` by the true ones."""
     size = parent.size
@@ -114,7 +114,7 @@ def pull(parent, position, moves, chord, length, slope, hold, gradient):
             gradient[i, 2] = 0.0
 
 
-@njit
+@borrowing
 def cost(length, chord, radius, total, gamma, bulk, free, shortest, pull, bound, lump, push, lift, hold, stiff):
     """Volume of the free segments, of what is left out, and the augmented Lagrangian of ``|d| >= shortest``.
 
@@ -144,7 +144,7 @@ def cost(length, chord, radius, total, gamma, bulk, free, shortest, pull, bound,
     return volume
 
 
-@njit
+@borrowing
 def imbalance(parent, moves, weight, gradient, force):
     """The largest force on a node that moves, relative to the sum of the weights of its segments; ``force``: all."""
     for i in range(parent.size):
@@ -163,7 +163,7 @@ def imbalance(parent, moves, weight, gradient, force):
     return worst
 
 
-@njit
+@borrowing
 def leave_out(parent, kept, q, volume, base, rest):
     """Keep all that lies between the root and what is ``kept`` (N,) bool; sum up what is not, where it springs from.
 
@@ -180,7 +180,7 @@ def leave_out(parent, kept, q, volume, base, rest):
             rest[p] += volume[i]
 
 
-@njit
+@borrowing
 def dot(a, b):
     total = 0.0
     for i in range(a.shape[0]):
@@ -188,7 +188,7 @@ def dot(a, b):
     return total
 
 
-@njit
+@borrowing
 def stiffness(slope, hold, length, seen_slope, seen_length, along, across):
     """How much segments resist, as the Laplacian takes it: ``across`` as a weight, ``along`` as a stiffness.
 
@@ -208,7 +208,7 @@ def stiffness(slope, hold, length, seen_slope, seen_length, along, across):
         seen_slope[i], seen_length[i] = slope[i], length[i]
 
 
-@njit
+@borrowing
 def foresee(parent, position, moves, chord, step, pull, bound, shortest, on, stiff, rhs):
     """Whether a ``step`` takes segments below a bound that does not press yet; it is then put into the next solve.
 
@@ -239,7 +239,7 @@ def foresee(parent, position, moves, chord, step, pull, bound, shortest, on, sti
     return found
 
 
-@njit
+@borrowing
 def solve_laplacian(parent, position, moves, chord, length, weight, stiff, bend, rhs, block, diagonal, out):
     """``out`` with ``H out = rhs`` at the nodes that move, 0 elsewhere; ``H`` is a tree Laplacian of 3 x 3 blocks.
 
@@ -253,7 +253,7 @@ def solve_laplacian(parent, position, moves, chord, length, weight, stiff, bend,
     solve_anchored(parent, position, moves, chord, length, weight, stiff, bend, rhs, block, diagonal, out)
 
 
-@njit
+@borrowing
 def solve_anchored(parent, position, moves, chord, length, weight, stiff, bend, rhs, block, diagonal, out):
     """The same, with the stiffness that ``diagonal`` holds already, of what ties single nodes to their places."""
     size = parent.size
@@ -304,7 +304,7 @@ def solve_anchored(parent, position, moves, chord, length, weight, stiff, bend, 
         out[i, 2] = d[2] * x + d[4] * y + d[5] * z
 
 
-@njit
+@borrowing
 def segment_block(parent, position, chord, length, weight, stiff, bend, i, block):
     """What segment ``i`` adds to the Laplacian; a weight that is not positive counts as a small one."""
     p = parent[i]
@@ -321,7 +321,7 @@ def segment_block(parent, position, chord, length, weight, stiff, bend, i, block
     block[5] = c - b * z * z
 
 
-@njit
+@borrowing
 def invert(a):
     """Inverse, in place, of a symmetric 3 x 3 matrix (xx, xy, xz, yy, yz, zz)."""
     c0 = a[3] * a[5] - a[4] * a[4]
@@ -335,7 +335,7 @@ def invert(a):
     a[3], a[4], a[5] = c3 * scale, c4 * scale, c5 * scale
 
 
-@njit
+@borrowing
 def product(a, b):
     """Product of two symmetric 3 x 3 matrices, row by row."""
     return (

@@ -15,13 +15,13 @@ best ``b`` is the weighted Fermat point of three points, known in closed form; a
 import numpy as np
 
 from generator._fermat_kernels import NOWHERE, fermat
-from vascval.core.jit import njit
+from vascval.core.borrowing import borrowing
 
 NEAR = 1e-2
 TINY = 1e-30
 
 
-@njit
+@borrowing
 def climb(r, q_before, t_before, rho, v, gamma):
     """``rho`` and ``v`` of segment ``r`` with one more terminal, when a child's become ``rho``, ``v``; derivatives.
 
@@ -40,7 +40,7 @@ def climb(r, q_before, t_before, rho, v, gamma):
     return new_rho, r.length + base_v, base_rho * part, v / (2.0 * root * a) - 0.5 * base_v * part, root / a
 
 
-@njit
+@borrowing
 def walk(store, start, rho, v):
     """Cost of the stem, and its derivatives by ``rho`` and ``v`` of segment ``start``, when they take these values."""
     mark = store.counts[2]
@@ -75,12 +75,12 @@ def walk(store, start, rho, v):
     return cost, d_rho, d_v
 
 
-@njit
+@borrowing
 def length_between(ax, ay, az, bx, by, bz):
     return np.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2)
 
 
-@njit
+@borrowing
 def joined(store, r, lp, ls, lt):
     """The new bifurcation's numbers, from the lengths to the proximal, distal and terminal point.
 
@@ -97,7 +97,7 @@ def joined(store, r, lp, ls, lt):
     return rho_s, v_s, q_s, lt, q_t, s_sum, a, base_v, (r.n + 1) * lp + a * a, lp + base_v
 
 
-@njit
+@borrowing
 def feed(store, s, rho, v):
     """Cost and its derivatives by ``rho`` and ``v`` of a new segment that takes the place of ``s`` at its parent."""
     r = store.segment[s]
@@ -109,7 +109,7 @@ def feed(store, s, rho, v):
     return cost, d_rho * rr + d_v * vr, d_v * vv
 
 
-@njit
+@borrowing
 def weights(n, values, d_rho, d_v):
     """dF/dl of the proximal, distal and terminal segment at the bifurcation."""
     rho_s, v_s, q_s, rho_t, q_t, s_sum, a, base_v, _, _ = values
@@ -120,7 +120,7 @@ def weights(n, values, d_rho, d_v):
     return (n + 1) * d_rho + d_v, n * ws + d_v * root_s / a, wt + d_v * root_t / a
 
 
-@njit
+@borrowing
 def beside(ox, oy, oz, ax, ay, az, wa, bx, by, bz, wb, distance):
     """The point ``distance`` from ``o`` towards where the pulls ``wa`` of ``a`` and ``wb`` of ``b`` add up to."""
     la, lb = length_between(ox, oy, oz, ax, ay, az), length_between(ox, oy, oz, bx, by, bz)
@@ -132,7 +132,7 @@ def beside(ox, oy, oz, ax, ay, az, wa, bx, by, bz, wb, distance):
     return ox + scale * dx, oy + scale * dy, oz + scale * dz
 
 
-@njit
+@borrowing
 def first_guess(r, x, y, z):
     """A third of the way from the segment's nearest point, kept off its ends, to the new terminal."""
     dx, dy, dz = r.bx - r.ax, r.by - r.ay, r.bz - r.az
@@ -142,7 +142,7 @@ def first_guess(r, x, y, z):
     return bx + (x - bx) / 3.0, by + (y - by) / 3.0, bz + (z - bz) / 3.0
 
 
-@njit
+@borrowing
 def assess(store, s, bx, by, bz, x, y, z, scale):
     """Cost with the bifurcation at ``b``, the three lengths, the three weights and the three radii.
 
@@ -161,7 +161,7 @@ def assess(store, s, bx, by, bz, x, y, z, scale):
     return cost, lp, ls, lt, wp, ws, wt, rp, unit * values[0] ** 0.25, unit * values[3] ** 0.25, d_rho, d_v
 
 
-@njit
+@borrowing
 def refine(store, s, bx, by, bz, x, y, z, d_rho, d_v, rounds):
     """Fermat rounds with the path's derivatives held; the last weights and the corner it fell on are returned too.
 

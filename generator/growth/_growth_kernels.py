@@ -19,14 +19,14 @@ from generator.growth._candidate_kernels import (
 )
 from generator.growth._index_kernels import anything_within, nearest, register
 from generator.growth._overlap_kernels import keeps_apart, springs_apart
-from vascval.core.jit import njit
+from vascval.core.borrowing import borrowing
 
 PLACED, REFUSED, TOO_THIN = 1, 2, 3
 DONE, NO_MORE_POINTS, NO_ROOM, STUCK = 0, 1, 2, 3
 STRANDED = 5000  # points refused in a row after which growth gives up
 
 
-@njit
+@borrowing
 def prepare_stem(store, stems, j):
     """What a new terminal below stem ``j`` means to all stems: the others' volume and this one's scale, ``inf``: none.
 
@@ -51,7 +51,7 @@ def prepare_stem(store, stems, j):
             stems.others[j] += np.exp(stems.cost[i]) / np.sqrt(drop)
 
 
-@njit
+@borrowing
 def merged(store, s, x, y, z, scale):
     """Cost and radius of a terminal that springs from the proximal node of ``s``, with no new bifurcation."""
     r = store.segment[s]
@@ -63,7 +63,7 @@ def merged(store, s, x, y, z, scale):
     return cost, radius / (rho - (p.n + 1) * p.length) ** 0.25
 
 
-@njit
+@borrowing
 def moved_off(store, rules, s, x, y, z, found, bx, by, bz, corner):
     """The bifurcation moved as far as the shortest lengths ask, and whether it was moved at all."""
     _, lp, ls, lt, wp, ws, wt, rp, rs, rt, _, _ = found
@@ -83,7 +83,7 @@ def moved_off(store, rules, s, x, y, z, found, bx, by, bz, corner):
     return (bx, by, bz), False
 
 
-@njit
+@borrowing
 def long_enough(rules, found):
     _, lp, ls, lt, _, _, _, rp, rs, rt, _, _ = found
     d = 2.0 * rules.diameters
@@ -96,7 +96,7 @@ def long_enough(rules, found):
     )
 
 
-@njit
+@borrowing
 def propose(store, rules, s, x, y, z, scale):
     """The best bifurcation on segment ``s`` that keeps to the shortest lengths.
 
@@ -114,7 +114,7 @@ def propose(store, rules, s, x, y, z, scale):
     return long_enough(rules, found), found, bx, by, bz, merge
 
 
-@njit
+@borrowing
 def fits(store, rules, grid, space, s, bx, by, bz, x, y, z, found):
     """Does the connection stay inside the domain and clear of other vessels?"""
     r = store.segment[s]
@@ -126,7 +126,7 @@ def fits(store, rules, grid, space, s, bx, by, bz, x, y, z, found):
     )
 
 
-@njit
+@borrowing
 def connect(store, stems, rules, grid, space, x, y, z, near, distance):
     """Test the segments nearest to the point and take the best connection; ``PLACED``, ``REFUSED`` or ``TOO_THIN``."""
     store.counts[2] += 1
@@ -174,7 +174,7 @@ def connect(store, stems, rules, grid, space, x, y, z, near, distance):
     return PLACED
 
 
-@njit
+@borrowing
 def new_segment(store, parent, ax, ay, az, bx, by, bz, stem, radius):
     """A segment without children, entered among those of its parent node; returns its index."""
     i = store.counts[0]
@@ -192,7 +192,7 @@ def new_segment(store, parent, ax, ay, az, bx, by, bz, stem, radius):
     return i
 
 
-@njit
+@borrowing
 def cut(store, grid, s, bx, by, bz, radius_above, radius_below):
     """Cut segment ``s`` at the bifurcation, a new node; what was below stays with ``s``."""
     r = store.segment[s]
@@ -214,7 +214,7 @@ def cut(store, grid, s, bx, by, bz, radius_above, radius_below):
     register(grid, store.segment[b], b, np.bool_(True))
 
 
-@njit
+@borrowing
 def attach(store, grid, p, x, y, z, radius):
     """A new terminal that springs from node ``p``."""
     above = store.segment[p]
@@ -223,7 +223,7 @@ def attach(store, grid, p, x, y, z, radius):
     register(grid, store.segment[t], t, np.bool_(True))
 
 
-@njit
+@borrowing
 def update(r, gamma):
     """``rho`` and ``v`` of a segment, and what they add to its parent's sums, from its length and its own sums."""
     r.rho = r.n * r.length + r.base_rho
@@ -232,7 +232,7 @@ def update(r, gamma):
     r.t = r.v * np.sqrt(r.rho)
 
 
-@njit
+@borrowing
 def gather(store, i):
     """The sums of segment ``i`` over its children, anew, and all that follows from them."""
     r = store.segment[i]
@@ -250,7 +250,7 @@ def gather(store, i):
     update(r, store.gamma)
 
 
-@njit
+@borrowing
 def add_one(store, stems):
     """Bring the path from the newest terminal to its stem up to date: one terminal more."""
     i = store.counts[0] - 1
@@ -265,7 +265,7 @@ def add_one(store, stems):
     stems.cost[r.stem] = 0.5 * np.log(r.rho) + np.log(r.v)
 
 
-@njit
+@borrowing
 def grow(store, stems, rules, grid, space, points, outcome, spacing_mm, target, near, distance):
     """Place points, from ``count[3]`` on, until there are ``target`` terminals; see the return codes above.
 
@@ -298,7 +298,7 @@ def grow(store, stems, rules, grid, space, points, outcome, spacing_mm, target, 
     return DONE
 
 
-@njit
+@borrowing
 def begin(store, stems, grid, node, x, y, z):
     """A first terminal straight from a node of the root tree, or the root: a new stem, if none springs there."""
     t = new_segment(
@@ -313,7 +313,7 @@ def begin(store, stems, grid, node, x, y, z):
     add_one(store, stems)
 
 
-@njit
+@borrowing
 def load(store, stems, parent, position):
     """Fill the store with a tree: ``parent`` (N,), root first, the fixed nodes before all; ``position`` (N, 3)."""
     size = parent.size
@@ -349,7 +349,7 @@ def load(store, stems, parent, position):
             r.stem = store.segment[r.parent].stem
 
 
-@njit
+@borrowing
 def spread_down(store, lost):
     """All that springs below a lost segment is lost too; so is a bifurcation both of whose branches are."""
     changed = True

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from generator._domain_kernels import first_crossing
-from vascval.core.jit import njit
+from vascval.core.borrowing import borrowing
 
 
 class Grid(NamedTuple):
@@ -26,7 +26,7 @@ class Grid(NamedTuple):
     free: np.ndarray
 
 
-@njit
+@borrowing
 def enter(grid, i, j, k, s):
     e = grid.free[0]
     grid.free[0] = grid.link[e]
@@ -36,7 +36,7 @@ def enter(grid, i, j, k, s):
     grid.head[i, j, k] = e
 
 
-@njit
+@borrowing
 def leave(grid, i, j, k, s):
     before = -1
     e = grid.head[i, j, k]
@@ -54,7 +54,7 @@ def leave(grid, i, j, k, s):
         e = grid.link[e]
 
 
-@njit
+@borrowing
 def cell_of(grid, x, y, z):
     nx, ny, nz = grid.head.shape
     i = min(max(int((x - grid.origin[0]) / grid.cell), 0), nx - 1)
@@ -63,7 +63,7 @@ def cell_of(grid, x, y, z):
     return i, j, k
 
 
-@njit
+@borrowing
 def register(grid, r, s, add):
     """Enter segment ``s`` with the ends in record ``r`` in all cells that it crosses, or take it out of them."""
     h = grid.cell
@@ -94,7 +94,7 @@ def register(grid, r, s, add):
             tz += gz
 
 
-@njit
+@borrowing
 def fill(grid, segment, first, last):
     """Enter the segments ``first`` to ``last - 1``; returns the first that found no room, ``last`` if all did."""
     nx, ny, nz = grid.head.shape
@@ -106,7 +106,7 @@ def fill(grid, segment, first, last):
     return last
 
 
-@njit
+@borrowing
 def square_distance(r, x, y, z):
     """Square of the distance between a point and the segment in record ``r``."""
     dx, dy, dz = r.bx - r.ax, r.by - r.ay, r.bz - r.az
@@ -121,7 +121,7 @@ def square_distance(r, x, y, z):
     return px * px + py * py + pz * pz
 
 
-@njit
+@borrowing
 def anything_within(grid, segment, x, y, z, distance):
     """Is there a segment within ``distance`` of the point?"""
     ci, cj, ck = cell_of(grid, x, y, z)
@@ -143,7 +143,7 @@ def anything_within(grid, segment, x, y, z, distance):
     return False
 
 
-@njit
+@borrowing
 def insert_sorted(near, distance, found, s, d):
     """Keep ``near``/``distance`` the sorted list of the nearest; returns how many it holds."""
     room = near.size
@@ -159,7 +159,7 @@ def insert_sorted(near, distance, found, s, d):
     return min(found + 1, room)
 
 
-@njit
+@borrowing
 def nearest(grid, segment, x, y, z, mark, near, distance):
     """The ``near.size`` segments nearest to the point, nearest first; returns how many were found.
 
@@ -194,7 +194,7 @@ def nearest(grid, segment, x, y, z, mark, near, distance):
     return found
 
 
-@njit
+@borrowing
 def follow(head, link, met):
     """Mark in ``met`` the entries on all lists that begin at ``head`` (K,) and go on by ``link``; their number.
 

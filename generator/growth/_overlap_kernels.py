@@ -7,10 +7,10 @@ are those of the last sweep; the caller asks for a margin.
 import numpy as np
 
 from generator.growth._index_kernels import cell_of
-from vascval.core.jit import njit
+from vascval.core.borrowing import borrowing
 
 
-@njit
+@borrowing
 def square_between(ax, ay, az, bx, by, bz, r):
     """Square of the distance between the segment from ``a`` to ``b`` and the segment in record ``r``.
 
@@ -35,7 +35,7 @@ def square_between(ax, ay, az, bx, by, bz, r):
     return dx * dx + dy * dy + dz * dz
 
 
-@njit
+@borrowing
 def meets(store, o, ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
     """Does vessel ``o`` overlap one from ``a`` to ``b``, ``node_a`` to ``node_b``, that shares no node with it?"""
     r = store.segment[o]
@@ -44,7 +44,7 @@ def meets(store, o, ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin
     return square_between(ax, ay, az, bx, by, bz, r) < (margin * (radius + r.radius)) ** 2
 
 
-@njit
+@borrowing
 def clear(store, grid, ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, margin):
     """Does a vessel from ``a`` to ``b`` keep clear of all others?
 
@@ -69,7 +69,7 @@ def clear(store, grid, ax, ay, az, bx, by, bz, radius, node_a, node_b, skip, mar
     return True
 
 
-@njit
+@borrowing
 def keeps_apart(store, grid, s, bx, by, bz, x, y, z, found, margin):
     """Do the three segments of a bifurcation at ``b`` on segment ``s`` keep clear? New nodes have no number yet."""
     r = store.segment[s]
@@ -81,7 +81,7 @@ def keeps_apart(store, grid, s, bx, by, bz, x, y, z, found, margin):
     )
 
 
-@njit
+@borrowing
 def springs_apart(store, grid, s, x, y, z, radius, margin):
     """Does a new terminal from the proximal node of ``s`` keep clear?"""
     r = store.segment[s]
@@ -89,7 +89,7 @@ def springs_apart(store, grid, s, x, y, z, radius, margin):
     return clear(store, grid, r.ax, r.ay, r.az, x, y, z, radius, np.int64(r.parent), none, none, margin)
 
 
-@njit
+@borrowing
 def smaller(store, s, o):
     """Of two vessels, the one that is easier to give up: not of the root tree, no stem, fewer terminals, younger."""
     if s < store.n_fixed or o < store.n_fixed:
@@ -103,7 +103,7 @@ def smaller(store, s, o):
     return max(s, o)
 
 
-@njit
+@borrowing
 def mark_smaller(store, s, o, lost, margin):
     """Mark the smaller of two vessels that overlap; 1 if they do."""
     r = store.segment[s]
@@ -115,7 +115,7 @@ def mark_smaller(store, s, o, lost, margin):
     return 1
 
 
-@njit
+@borrowing
 def mark_overlapping(store, grid, lost, margin):
     """Mark in ``lost`` the smaller vessel of every pair that overlaps; returns how many times one was met."""
     total = 0
@@ -140,7 +140,7 @@ def mark_overlapping(store, grid, lost, margin):
     return total
 
 
-@njit
+@borrowing
 def sweep_radii(store, stem_radius):
     """All radii anew, root to leaf, from those of the stems (J,), and the list of thick vessels."""
     store.counts[5] = 0

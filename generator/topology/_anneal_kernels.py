@@ -14,7 +14,7 @@ from generator.topology._estimate_kernels import estimate_graft, estimate_swap
 from generator.topology._move_kernels import first_place, graft, may_graft, may_swap, settle, swap
 from generator.topology._relax_kernels import relax, relax_near
 from generator.topology._state_kernels import begin, climb, descend, find_paths, long_enough, slope_at, sweep, undo
-from vascval.core.jit import njit
+from vascval.core.borrowing import borrowing
 
 NO_MOVE, REJECTED, ACCEPTED = 0, 1, 2
 GRAFT, SWAP = 0, 1
@@ -47,7 +47,7 @@ class Nearby(NamedTuple):
     owner: np.ndarray
 
 
-@njit
+@borrowing
 def cell_of(near, x, y, z):
     i = min(max(int((x - near.lower[0]) / near.cell), 0), near.shape[0] - 1)
     j = min(max(int((y - near.lower[1]) / near.cell), 0), near.shape[1] - 1)
@@ -55,7 +55,7 @@ def cell_of(near, x, y, z):
     return (i * near.shape[1] + j) * near.shape[2] + k
 
 
-@njit
+@borrowing
 def sample_segments(state, near, write):
     """Count the sample points of each cell, one per cell length, or write them."""
     for i in range(state.n_fixed, state.node.size):
@@ -72,7 +72,7 @@ def sample_segments(state, near, write):
                 near.start[c] += 1
 
 
-@njit
+@borrowing
 def lay(state, near):
     """The grid anew; False: ``owner`` is too short."""
     near.start[:] = 0
@@ -85,7 +85,7 @@ def lay(state, near):
     return True
 
 
-@njit
+@borrowing
 def pick_nearby(near, rng, x, y, z):
     """A segment with a sample point in the 27 cells around a point, drawn evenly; -1: there is none."""
     ci = min(max(int((x - near.lower[0]) / near.cell), 0), near.shape[0] - 1)
@@ -112,7 +112,7 @@ def pick_nearby(near, rng, x, y, z):
     return -1
 
 
-@njit
+@borrowing
 def propose(state, near, rng):
     """A segment and another near a point of it; -1, -1: none was found.
 
@@ -139,7 +139,7 @@ def propose(state, near, rng):
     return s, t
 
 
-@njit
+@borrowing
 def try_graft(state, s, t):
     """Graft ``s`` on ``t``, its bifurcation put right; C."""
     begin(state)
@@ -152,7 +152,7 @@ def try_graft(state, s, t):
     return low, e.parent, climb(state)
 
 
-@njit
+@borrowing
 def try_swap(state, a, b):
     """Exchange the proximal nodes of ``a`` and ``b``, which are put right; C."""
     begin(state)
@@ -164,7 +164,7 @@ def try_swap(state, a, b):
     return p, q, climb(state)
 
 
-@njit
+@borrowing
 def settle_around(state, i, rounds):
     """Put right the bifurcations below ``i``, ``i`` itself and the one above."""
     if i < state.n_fixed:
@@ -179,7 +179,7 @@ def settle_around(state, i, rounds):
         settle(state, p, state.node[p].d_rho, state.node[p].d_v, rounds)
 
 
-@njit
+@borrowing
 def stays_inside(state, space):
     """Whether all segments that were changed lie in the domain."""
     if space.convex:
@@ -197,7 +197,7 @@ def stays_inside(state, space):
     return True
 
 
-@njit
+@borrowing
 def draw(state, near, rng, rules):
     """A move to a topology that is near: its kind, the two segments, and the terminals moved, 0 if there is none."""
     kind = SWAP if rng.random() < rules.swaps else GRAFT
@@ -208,18 +208,18 @@ def draw(state, near, rng, rules):
     return kind, s, t, max(n, state.node[t].n) if kind == SWAP else n
 
 
-@njit
+@borrowing
 def estimate(state, kind, s, t):
     return estimate_swap(state, s, t) if kind == SWAP else estimate_graft(state, s, t)
 
 
-@njit
+@borrowing
 def make(state, kind, s, t):
     """First stage: the move made and its bifurcations put right; where the paths begin, and C."""
     return try_swap(state, s, t) if kind == SWAP else try_graft(state, s, t)
 
 
-@njit
+@borrowing
 def put_right(state, low_a, low_b):
     """Second stage: the bifurcations around the moved ones; C."""
     descend(state)
@@ -228,7 +228,7 @@ def put_right(state, low_a, low_b):
     return climb(state)
 
 
-@njit
+@borrowing
 def test(state, flat, space, near, rng, rules, cost, above):
     """One test; its outcome, the kind of move and, if it was accepted, the new C."""
     kind, s, t, n = draw(state, near, rng, rules)
@@ -250,7 +250,7 @@ def test(state, flat, space, near, rng, rules, cost, above):
     return REJECTED, kind, cost
 
 
-@njit
+@borrowing
 def run(state, flat, space, near, rng, rules, n_tests, temperature, cost, tally):
     """``n_tests`` tests at one temperature; C, and in ``tally`` (2, 3) outcomes by kind of move."""
     for _ in range(n_tests):
@@ -266,7 +266,7 @@ def run(state, flat, space, near, rng, rules, n_tests, temperature, cost, tally)
     return cost
 
 
-@njit
+@borrowing
 def sample(state, near, rng, rules, cost, rise):
     """What moves from here would add to C, none of them made; how many of ``rise`` were filled."""
     count = 0
@@ -282,7 +282,7 @@ def sample(state, near, rng, rules, cost, rise):
     return count
 
 
-@njit
+@borrowing
 def relax_inside(state, flat, space, eps, steps, cost):
     """A few steps for the whole tree, taken back if a segment leaves the domain; C."""
     found = relax(state, flat, eps, steps)

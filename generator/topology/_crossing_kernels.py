@@ -6,14 +6,14 @@ from generator.topology._anneal_kernels import stays_inside
 from generator.topology._move_kernels import graft, is_below, may_graft
 from generator.topology._relax_kernels import flatten, steps, write_back
 from generator.topology._state_kernels import begin, long_enough, save, sweep, undo
-from vascval.core.jit import njit
+from vascval.core.borrowing import borrowing
 
 FIRST, FURTHER = 3, 4  # steps of the whole tree before it is judged, and at each of two finer smoothings after
 DOUBT = 1e-3  # how much it may cost more when it is first judged
 LEAST = 1e-9  # gain
 
 
-@njit
+@borrowing
 def list_below(node, top, below):
     """The nodes of the subtree that ends at ``top``, each after what feeds it; how many."""
     below[0] = top
@@ -27,7 +27,7 @@ def list_below(node, top, below):
     return count
 
 
-@njit
+@borrowing
 def assemble(state, donor, top, below, place):
     """Join the terminals below ``top`` as ``donor`` joins them, and put their bifurcations where it has them.
 
@@ -58,7 +58,7 @@ def assemble(state, donor, top, below, place):
     return made
 
 
-@njit
+@borrowing
 def find_nearest(state, point, clade, nearest, apart):
     """Into ``nearest`` the segments nearest to a point outside the subtree ``clade``, its own and its sibling's and the
     one that feeds them left out; -1 where there are fewer. ``apart`` are their distances squared."""
@@ -82,7 +82,7 @@ def find_nearest(state, point, clade, nearest, apart):
         nearest[k], apart[k] = i, away
 
 
-@njit
+@borrowing
 def relaxed(state, flat, eps, cost):
     """C of the whole tree after a few steps, fewer if it is far above ``cost``."""
     sweep(state, flat.order)
@@ -96,7 +96,7 @@ def relaxed(state, flat, eps, cost):
     return found
 
 
-@njit
+@borrowing
 def cross(state, flat, space, donor, top, eps, below, place, nearest, apart, cost):
     """Put the subtree of ``donor`` that ends at ``top`` together in this tree; kept if it costs less. C.
 

@@ -9,12 +9,12 @@ import numpy as np
 from generator._fermat_kernels import NOWHERE, fermat
 from generator.topology._move_kernels import first_place, is_below, sibling
 from generator.topology._state_kernels import TINY, branch_power, child_slope, distance, joined
-from vascval.core.jit import njit
+from vascval.core.borrowing import borrowing
 
 ROUNDS = 3
 
 
-@njit
+@borrowing
 def changed_above(state, i, old, rho, v, extra):
     """Rise of C if child ``old`` of ``i`` had ``rho`` and ``v`` instead, and ``extra`` terminals more were below."""
     c = state.node[old]
@@ -30,7 +30,7 @@ def changed_above(state, i, old, rho, v, extra):
     return rise
 
 
-@njit
+@borrowing
 def reach(r, length):
     """``rho`` and ``v`` of the segment to node ``r`` if its length were ``length``."""
     if r.first < 0:
@@ -38,7 +38,7 @@ def reach(r, length):
     return r.n * length + r.a * r.a, length + r.base_v
 
 
-@njit
+@borrowing
 def fork(state, s, t, extra):
     """``rho`` and ``v`` of the segment that would feed ``s`` and ``t`` from where ``t`` is fed, at its best place.
 
@@ -76,7 +76,7 @@ def fork(state, s, t, extra):
     return rho, v
 
 
-@njit
+@borrowing
 def estimate_graft(state, s, t):
     """Rise of C by grafting ``s`` on ``t``."""
     e = state.node[s]
@@ -90,7 +90,7 @@ def estimate_graft(state, s, t):
     return rise + changed_above(state, state.node[t].parent, t, rho, v, extra)
 
 
-@njit
+@borrowing
 def estimate_swap(state, a, b):
     """Rise of C by exchanging the proximal nodes of ``a`` and ``b``, which stay where they are."""
     r, e = state.node[a], state.node[b]

@@ -7,6 +7,7 @@ the node above each.
 import numpy as np
 
 from generator.geometry._reduced_kernels import dot, pull, solve_laplacian
+from vascval.core.borrowing import borrowing
 from vascval.core.jit import njit
 
 BEND = 0.97
@@ -14,7 +15,7 @@ COARSE, FINE = 1e-2, 3e-4  # smoothing in parts of the size of the tree
 TIGHT = 1e-3  # relative distance of bound and value that is good enough
 
 
-@njit
+@borrowing
 def insert(up, n_terminals, grown, edge):
     """Join terminal ``grown + 1`` by a new bifurcation on the segment that ends at node ``edge``."""
     b = n_terminals + grown
@@ -23,7 +24,7 @@ def insert(up, n_terminals, grown, edge):
     up[grown + 1] = b
 
 
-@njit
+@borrowing
 def root_first(up, n_terminals, grown, order, parent):
     """The nodes of a tree of ``grown`` terminals, each after its parent, and their parents in that numbering."""
     size = 2 * grown
@@ -43,7 +44,7 @@ def root_first(up, n_terminals, grown, order, parent):
     return size
 
 
-@njit
+@borrowing
 def value(parent, n, position, eps, below, chord, length, y, slope):
     """The relaxed cost ``y`` of the stem with lengths ``sqrt(d^2 + eps^2) - eps``, and its derivatives by them."""
     size = parent.size
@@ -65,7 +66,7 @@ def value(parent, n, position, eps, below, chord, length, y, slope):
     return y[1]
 
 
-@njit
+@borrowing
 def lower_bound(parent, n, position, moves, corners, size_mm, enough):
     """A number that ``y`` cannot fall below; ``position`` ends where it was found. Stops at ``enough``."""
     size = parent.size
@@ -100,7 +101,7 @@ def lower_bound(parent, n, position, moves, corners, size_mm, enough):
     return best
 
 
-@njit
+@borrowing
 def room_to_fall(position, gradient, moves, corners):
     """How much a convex function with this gradient can fall while every node stays in the hull of the corners."""
     total = 0.0

@@ -2,10 +2,10 @@
 
 from generator._fermat_kernels import NOWHERE, fermat
 from generator.topology._state_kernels import child_slope, distance, keep_off, refresh, relength, save
-from vascval.core.jit import njit
+from vascval.core.borrowing import borrowing
 
 
-@njit
+@borrowing
 def settle(state, i, d_rho, d_v, rounds):
     """Put bifurcation ``i`` where the three segments balance, given dC/drho and dC/dv of the one that feeds it.
 
@@ -36,13 +36,13 @@ def settle(state, i, d_rho, d_v, rounds):
     refresh(state, i)
 
 
-@njit
+@borrowing
 def sibling(state, i):
     p = state.node[state.node[i].parent]
     return p.second if p.first == i else p.first
 
 
-@njit
+@borrowing
 def replace(state, parent, old, new):
     """``new`` takes the place of ``old`` below ``parent``."""
     save(state, parent)
@@ -55,7 +55,7 @@ def replace(state, parent, old, new):
     state.node[new].parent = parent
 
 
-@njit
+@borrowing
 def is_below(state, i, top):
     """Whether node ``i`` is ``top`` or lies below it."""
     while i >= state.n_fixed:
@@ -65,14 +65,14 @@ def is_below(state, i, top):
     return False
 
 
-@njit
+@borrowing
 def may_graft(state, s, t):
     """Whether cutting ``s`` off and grafting it on segment ``t`` makes another tree."""
     p = state.node[s].parent
     return p >= state.n_fixed and t != p and state.node[t].parent != p and not is_below(state, t, s)
 
 
-@njit
+@borrowing
 def first_place(r, u, e):
     """Where a bifurcation on the segment from ``u`` to ``r`` begins to be put right if ``e`` is to spring from it."""
     dx, dy, dz = u.x - r.x, u.y - r.y, u.z - r.z
@@ -82,7 +82,7 @@ def first_place(r, u, e):
     return x + (e.x - x) / 3.0, y + (e.y - y) / 3.0, z + (e.z - z) / 3.0
 
 
-@njit
+@borrowing
 def graft(state, s, t, x, y, z):
     """Cut off segment ``s`` together with its proximal node, which is put at a point on segment ``t``.
 
@@ -102,7 +102,7 @@ def graft(state, s, t, x, y, z):
     return g
 
 
-@njit
+@borrowing
 def may_swap(state, a, b):
     """The paper's filters: no cycle, and no new segment twice as long as it was."""
     p, q = state.node[a].parent, state.node[b].parent
@@ -115,7 +115,7 @@ def may_swap(state, a, b):
     return not (is_below(state, a, b) or is_below(state, b, a))
 
 
-@njit
+@borrowing
 def swap(state, a, b):
     """Exchange the proximal nodes of two segments."""
     p, q = state.node[a].parent, state.node[b].parent

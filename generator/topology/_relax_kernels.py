@@ -10,6 +10,7 @@ import numpy as np
 
 from generator.geometry._reduced_kernels import dot, imbalance, lengths, pull, solve_laplacian
 from generator.topology._state_kernels import begin, child_slope, keep_off, refresh, relength, save, sweep, total, undo
+from vascval.core.borrowing import borrowing
 from vascval.core.jit import njit
 
 BEND = 0.97
@@ -49,7 +50,7 @@ class Flat(NamedTuple):
     nothing: np.ndarray
 
 
-@njit
+@borrowing
 def gather(state, order, room, reach):
     """The segments of a subproblem, root first, in ``order``; how many.
 
@@ -112,7 +113,7 @@ def flatten(state, whole, reach):
     return flat
 
 
-@njit
+@borrowing
 def flat_cost(state, flat, position, eps):
     """C with smoothed lengths."""
     ends, size = state.ends.size, flat.parent.size
@@ -147,7 +148,7 @@ def flat_cost(state, flat, position, eps):
     return np.log(total)
 
 
-@njit
+@borrowing
 def flat_weights(state, flat):
     """dC/dl of all segments where the cost was last evaluated."""
     ends = state.ends.size
@@ -162,7 +163,7 @@ def flat_weights(state, flat):
         flat.weight[i] = flat.n[i] * flat.d_rho[i] + flat.d_v[i]
 
 
-@njit
+@borrowing
 def steps(state, flat, eps, count, tolerance):
     """At most ``count`` steps at one smoothing, until forces balance to ``tolerance``; how many were taken."""
     cost = flat_cost(state, flat, flat.position, eps)
@@ -178,7 +179,9 @@ def steps(state, flat, eps, count, tolerance):
         slope = -dot(flat.gradient, flat.direction)
         length = 1.0
         while True:
-            flat.trial[:] = flat.position - length * flat.direction
+            for i in range(flat.parent.size):
+                for k in range(3):
+                    flat.trial[i, k] = flat.position[i, k] - length * flat.direction[i, k]
             found = flat_cost(state, flat, flat.trial, eps)
             if found <= cost + ARMIJO * length * slope + 1e-15:
                 break
@@ -191,7 +194,7 @@ def steps(state, flat, eps, count, tolerance):
     return count
 
 
-@njit
+@borrowing
 def write_back(state, flat):
     """Positions of the nodes that moved, and all that follows from them, into the state; C."""
     ends = state.ends.size
@@ -212,7 +215,7 @@ def write_back(state, flat):
     return total(state)
 
 
-@njit
+@borrowing
 def relax_near(state, whole, reach, eps, count):
     """A few steps for the nodes on the paths of this test and ``reach`` levels below them; C. The state follows."""
     flat = flatten(state, whole, reach)
@@ -220,7 +223,7 @@ def relax_near(state, whole, reach, eps, count):
     return write_back(state, flat)
 
 
-@njit
+@borrowing
 def relax(state, whole, eps, count):
     """A few steps for the whole tree; the state follows if its exact cost falls. C."""
     before = sweep(state, whole.order)
@@ -232,7 +235,7 @@ def relax(state, whole, eps, count):
     return sweep(state, whole.order)
 
 
-@njit
+@borrowing
 def polish(state, whole, eps, finest, tolerance):
     """Down to the nearest optimum, ``eps`` falling to ``finest``; C."""
     best = sweep(state, whole.order)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vascval.core.jit import njit
+from vascval.core.borrowing import borrowing
 
 NODE = np.dtype(
     [
@@ -65,7 +65,7 @@ class State(NamedTuple):
     path_b: np.ndarray
 
 
-@njit
+@borrowing
 def save(state, i):
     """Note what node ``i`` is before it is changed, once per test."""
     if state.node[i].saved != state.counts[1]:
@@ -76,24 +76,24 @@ def save(state, i):
         state.counts[0] = k + 1
 
 
-@njit
+@borrowing
 def begin(state):
     state.counts[0] = 0
     state.counts[1] += 1
 
 
-@njit
+@borrowing
 def undo(state):
     for k in range(state.counts[0]):
         state.node[state.journal_at[k]] = state.journal[k]
 
 
-@njit
+@borrowing
 def distance(a, b):
     return np.sqrt((a.x - b.x) ** 2 + (a.y - b.y) ** 2 + (a.z - b.z) ** 2)
 
 
-@njit
+@borrowing
 def branch_power(gamma, rho):
     """``rho^(gamma/4)``, without a general power for the usual exponents."""
     if gamma == 3.0:
@@ -102,7 +102,7 @@ def branch_power(gamma, rho):
     return rho ** (0.25 * gamma)
 
 
-@njit
+@borrowing
 def joined(gamma, s_sum):
     """``S^(2/gamma)``, likewise."""
     if gamma == 3.0:
@@ -111,7 +111,7 @@ def joined(gamma, s_sum):
     return s_sum ** (2.0 / gamma)
 
 
-@njit
+@borrowing
 def relength(state, i):
     """``rho`` and ``v`` of segment ``i`` from its ends and from what hangs below."""
     r = state.node[i]
@@ -124,7 +124,7 @@ def relength(state, i):
     r.t = r.v * np.sqrt(r.rho)
 
 
-@njit
+@borrowing
 def refresh(state, i):
     """``rho`` and ``v`` of an inner segment ``i`` of known length from its children's."""
     r = state.node[i]
@@ -139,7 +139,7 @@ def refresh(state, i):
     r.t = r.v * np.sqrt(r.rho)
 
 
-@njit
+@borrowing
 def total(state):
     """C; ``inf`` where the root tree uses up the pressure."""
     result = 0.0
@@ -158,7 +158,7 @@ def total(state):
     return np.log(result)
 
 
-@njit
+@borrowing
 def keep_off(state, i):
     """Move bifurcation ``i`` away from a terminal that is too close, towards where it is fed from."""
     r = state.node[i]
@@ -171,7 +171,7 @@ def keep_off(state, i):
             r.x, r.y, r.z = c.x + part * (p.x - c.x), c.y + part * (p.y - c.y), c.z + part * (p.z - c.z)
 
 
-@njit
+@borrowing
 def long_enough(state):
     """Whether the terminals that were changed in this test are as long as they should be."""
     for k in range(state.counts[0]):
@@ -182,7 +182,7 @@ def long_enough(state):
     return True
 
 
-@njit
+@borrowing
 def find_paths(state, low_a, low_b):
     """The nodes from ``low_b`` up to the root tree, and those from ``low_a`` until they meet that path."""
     count, i = 0, low_b
@@ -200,7 +200,7 @@ def find_paths(state, low_a, low_b):
     state.counts[2] = count
 
 
-@njit
+@borrowing
 def climb(state):
     """All segments of both paths from their children's; C."""
     for k in range(state.counts[2]):
@@ -212,7 +212,7 @@ def climb(state):
     return total(state)
 
 
-@njit
+@borrowing
 def slope_at(state, i):
     """``dC/drho`` and ``dC/dv`` of segment ``i`` from those of the segment that feeds it.
 
@@ -227,14 +227,14 @@ def slope_at(state, i):
     return child_slope(p.d_rho, p.d_v, p.s_sum, p.a, p.base_v, r.rho, r.v, r.q)
 
 
-@njit
+@borrowing
 def child_slope(d_rho, d_v, s_sum, a, base_v, rho, v, q):
     root = np.sqrt(rho)
     part = q / (s_sum * rho)
     return d_rho * a * a * part + 0.5 * d_v * (v / (root * a) - base_v * part), d_v * root / a
 
 
-@njit
+@borrowing
 def set_slopes(state, i):
     """``d_rho``, ``d_v`` and ``d_n`` of segment ``i`` from those of the segment that feeds it."""
     r = state.node[i]
@@ -244,7 +244,7 @@ def set_slopes(state, i):
         r.d_n += state.node[r.parent].d_n
 
 
-@njit
+@borrowing
 def descend(state):
     """``dC/drho`` and ``dC/dv`` along both paths."""
     for k in range(state.counts[3] - 1, -1, -1):
@@ -253,7 +253,7 @@ def descend(state):
         set_slopes(state, state.path_a[k])
 
 
-@njit
+@borrowing
 def root_first(state, order):
     """The free nodes, each after its parent; how many."""
     count = 0
@@ -271,7 +271,7 @@ def root_first(state, order):
     return count
 
 
-@njit
+@borrowing
 def sweep(state, order):
     """Everything anew from topology and positions; C."""
     count = root_first(state, order)
