@@ -59,7 +59,7 @@ def kernels() -> set[str]:
     for path in (*ROOT.glob("vascval/*/_*_kernels.py"), *ROOT.glob("generator/**/_*.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             marks = [ast.unparse(mark) for mark in getattr(node, "decorator_list", [])]
-            if any(mark.startswith("njit") and "inline" not in mark for mark in marks):
+            if any(mark.startswith(("njit", "borrowing")) and "inline" not in mark for mark in marks):
                 found.add(f"{path.parent.name}/{path.stem}.{node.name}")  # type: ignore[attr-defined]
     return found
 
