@@ -12,7 +12,7 @@ from reports.common.figures import panels, plain_counts, save
 from reports.common.pages import Compared, Facts, Page, table, write_csv
 from reports.common.trees import measured
 from reports.portal_vein.study import LOOK
-from reports.portal_vein.trees import BEST, GROWN, ONCE, trees
+from reports.portal_vein.trees import BEST, GROWN, ONCE, PAPERS, trees
 from vascval.morphometry import Analysis
 from vascval.report.plots import whole_ticks
 
@@ -26,7 +26,7 @@ KEYS = (
 COUNTED = {"n_trifurcations": "Trifurcations", "n_monopodial": "Monopodial branches"}
 
 
-def study(folder: Path, n_terminals: int, seeds: Sequence[int], topology: tuple[str, ...]) -> Page:
+def study(folder: Path, n_terminals: int, seeds: tuple[int, ...], topology: tuple[str, ...]) -> Page:
     facts = Facts("junctions")
     made = trees(n_terminals, seeds, topology)
     sides = {kind: [measured(tree) for tree in by_seed] for kind, by_seed in made.items()}
@@ -80,8 +80,9 @@ def words(
 The trees of [the portal vein](../portal_vein/README.md), {totals["seed"].nunique()} of each kind. A trifurcation is a
 junction of three children after every segment shorter than its diameter is contracted, a rule applied to all trees:
 `n contracted` segments of the tree as made are that short, so that even growth alone, which makes bifurcations only,
-has some when it is measured as a cast would be. "{ONCE}" is the optimised tree without what this project does after
-the paper's last programme. Means over the seeds and, below each, the standard deviation:
+has some when it is measured as a cast would be. "{ONCE}" is the optimised tree without what this project does
+after the paper's last programme, "{PAPERS}" another that is also searched and grown as near to the paper as is known.
+Means over the seeds and, below each, the standard deviation:
 
 {table(means_and_deviations(totals))}
 
@@ -105,7 +106,7 @@ against one geometry programme](../one_programme/README.md)). Nor can it be comp
 def means_and_deviations(totals: pd.DataFrame) -> pd.DataFrame:
     """Two rows for each kind of tree: means over the seeds, standard deviations."""
     parts = []
-    for kind in (GROWN, BEST, ONCE):
+    for kind in (GROWN, BEST, ONCE, PAPERS):
         counts = totals[totals["tree"] == kind][list(KEYS)]
         parts += [
             {"tree": kind, **{key: f"{value:,.0f}" for key, value in counts.mean().items()}},

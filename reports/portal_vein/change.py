@@ -9,7 +9,7 @@ import pandas as pd
 
 from generator.config import load
 from reports.common.trees import measured
-from reports.portal_vein.trees import BEST, GROWN, ONCE, PRESET
+from reports.portal_vein.trees import BEST, GROWN, ONCE, PAPERS, PRESET
 from vascval.core.tree import Tree
 from vascval.morphometry import Analysis, analyze
 
@@ -90,7 +90,7 @@ def with_errors(percent: pd.DataFrame) -> pd.DataFrame:
 
 
 def changes(rows: pd.DataFrame) -> pd.DataFrame:
-    """All measures of the radius, and the branching ratio, of both optimised trees: mean change, error, by generation.
+    """All measures of the radius, and the branching ratio, of the optimised trees: mean change, error, by generation.
 
     One row per tree, measure and generation; the last of each measure is ``ALL``.
     """
@@ -98,7 +98,7 @@ def changes(rows: pd.DataFrame) -> pd.DataFrame:
     parts = [
         with_errors(change(rows, column, kind, against)).rename_axis("generation").reset_index()
         .assign(tree=kind, measure=name)
-        for kind in (BEST, ONCE)
+        for kind in (BEST, ONCE, PAPERS)
         for name, (column, against) in measures.items()
     ]  # fmt: skip
     frame = pd.concat(parts, ignore_index=True)

@@ -10,7 +10,7 @@ from reports import make
 from reports.common.pages import headline
 from reports.common.trees import made
 from reports.portal_vein.change import ALL, AS_GROWN, RADII, at_equal_flow, by_generation, change, changes, with_errors
-from reports.portal_vein.trees import BEST, GROWN, ONCE, optimised
+from reports.portal_vein.trees import BEST, GROWN, ONCE, PAPERS, optimised, trees
 from vascval.core.contraction import degenerate_segments
 
 FOLDER = make.HERE / "portal_vein"
@@ -28,6 +28,7 @@ def larger(tree, factor):
 @pytest.fixture(scope="module")
 def rows(tree):
     twice = {GROWN: [tree, tree], BEST: [larger(tree, 1.1), larger(tree, 1.3)], ONCE: [tree, larger(tree, 0.5)]}
+    twice[PAPERS] = twice[ONCE]
     return by_generation(twice, (1, 2))
 
 
@@ -68,6 +69,12 @@ def test_both_optimised_trees_feed_the_same_terminals_and_only_one_has_short_seg
     assert degenerate_segments(best).size == 0 < degenerate_segments(once).size
 
 
+def test_there_is_a_tree_of_each_kind_for_every_seed_and_they_differ():
+    made = trees(60, (1, 2), ("topology.at=40", "topology.tests=200"))
+    volumes = [tree.volume_mm3 for by_seed in made.values() for tree in by_seed]
+    assert len(made) == 4 and len(set(volumes)) == len(volumes) == 8
+
+
 def test_the_page_says_what_its_generations_say():
     found = changes(pd.read_csv(FOLDER / "generations.csv"))
     written = pd.read_csv(FOLDER / "changes.csv")
@@ -75,7 +82,7 @@ def test_the_page_says_what_its_generations_say():
     assert found[keys].astype(str).equals(written[keys].astype(str))
     assert np.allclose(found[["change", "error"]], written[["change", "error"]], atol=1e-3, equal_nan=True)
     said = headline(FOLDER)
-    for kind in (BEST, ONCE):
+    for kind in (BEST, ONCE, PAPERS):
         usual = written[(written["tree"] == kind) & (written["measure"] == "mean over segments")]
         row = usual[usual["generation"] == ALL].iloc[0]
         assert f"by {row['change']:+.1f} ± {row['error']:.1f} %" in said
