@@ -55,11 +55,11 @@ def _rows(side: Analysis) -> pd.DataFrame:
         ["n_segments", "radius_mean_mm", "branching_ratio_mean", "total_length_mm"]
     ]
     generation, length = segments["generation"], segments["length_mm"]
-    volume_like = (segments["radius_mm"] * length).groupby(generation).sum()
+    weighted = (segments["radius_mm"] * length).groupby(generation).sum()
     even = _even(segments).groupby(generation).mean()
     return frame.assign(
         radius_of_vessels_mm=vessels,
-        radius_by_length_mm=volume_like / length.groupby(generation).sum(),
+        radius_by_length_mm=weighted / length.groupby(generation).sum(),
         root_of_terminals=even,
         radius_at_equal_flow=frame["radius_mean_mm"] / even,
     ).reset_index()
@@ -86,7 +86,8 @@ def change(rows: pd.DataFrame, column: str, kind: str, against: str = GROWN) -> 
 def with_errors(percent: pd.DataFrame) -> pd.DataFrame:
     """Mean over the seeds (columns), its standard error (NaN below two) and their number, row by row."""
     n = percent.notna().sum(axis=1)
-    return pd.DataFrame({"change": percent.mean(axis=1), "error": percent.std(axis=1, ddof=1) / np.sqrt(n), "seeds": n})
+    error = percent.std(axis=1, ddof=1) / np.sqrt(n)
+    return pd.DataFrame({"change_percent": percent.mean(axis=1), "error_percent": error, "seeds": n})
 
 
 def changes(rows: pd.DataFrame) -> pd.DataFrame:
@@ -102,11 +103,8 @@ def changes(rows: pd.DataFrame) -> pd.DataFrame:
         for name, (column, against) in measures.items()
     ]  # fmt: skip
     frame = pd.concat(parts, ignore_index=True)
-    return (
-        frame[["tree", "measure", "generation", "change", "error", "seeds"]]
-        .dropna(subset="change")
-        .reset_index(drop=True)
-    )
+    columns = ["tree", "measure", "generation", "change_percent", "error_percent", "seeds"]
+    return frame[columns].dropna(subset="change_percent").reset_index(drop=True)
 
 
 def at_equal_flow(grown: Tree, optimised: Tree) -> pd.Series:

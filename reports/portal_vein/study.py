@@ -163,7 +163,7 @@ def depths(rows: pd.DataFrame, kind: str, against: str) -> str:
         return f"none of {len(uneven)} pairs"
     found = ", ".join(f"{percent.loc[ALL, seed]:+.1f} %" for seed in deepest.index[uneven])
     rest = with_errors(percent.loc[:, list(deepest.index[~uneven])]).loc[ALL]
-    others = "" if missing(rest["change"]) else f"; {cell(rest['change'], rest['error'])} % in the others"
+    others = "" if missing(rest["change_percent"]) else f"; {cell(*rest.iloc[:2])} % in the others"
     return f"{uneven.sum()} of {len(uneven)} pairs ({found}{others})"
 
 
@@ -171,7 +171,7 @@ def verdict(rows: pd.DataFrame, moved: pd.DataFrame, kind: str) -> str:
     """In which generations the usual measure grows or falls by more than two standard errors, in how many pairs."""
     pairs = change(rows, "radius_mean_mm", kind).loc[ALL]
     mine = moved[(moved["tree"] == kind) & (moved["measure"] == USUAL)].set_index("generation")
-    errors = mine["change"] / mine["error"]
+    errors = mine["change_percent"] / mine["error_percent"]
     first = errors[errors.index.isin(SHOWN[:-1])]
     up, down = (", ".join(first.index[which]) or "none" for which in (first > 2, first < -2))
     average = "larger" if errors[ALL] > 2 else "smaller" if errors[ALL] < -2 else "not changed"
@@ -184,7 +184,7 @@ def verdict(rows: pd.DataFrame, moved: pd.DataFrame, kind: str) -> str:
 def changes_table(moved: pd.DataFrame) -> str:
     """Changes of the radius by tree and measure (rows) and generation."""
     shown = moved[moved["generation"].isin(SHOWN)]
-    wide = shown.assign(text=[cell(*pair) for pair in zip(shown["change"], shown["error"])])
+    wide = shown.assign(text=[cell(*pair) for pair in zip(shown["change_percent"], shown["error_percent"])])
     frame = wide.pivot(index=["tree", "measure"], columns="generation", values="text").fillna("")
     order = [(kind, measure) for kind in (BEST, ONCE, PAPERS) for measure in RADII]
     return table(frame.loc[order, [*frame.columns.drop(ALL), ALL]].reset_index())
@@ -197,7 +197,7 @@ def cell(mean: float, error: float) -> str:
 def spread(moved: pd.DataFrame, kind: str, measure: str) -> str:
     """The change of a measure over the first generations, with its standard error."""
     row = moved[(moved["tree"] == kind) & (moved["measure"] == measure) & (moved["generation"] == ALL)].iloc[0]
-    return cell(row["change"], row["error"])
+    return cell(row["change_percent"], row["error_percent"])
 
 
 def compared(
@@ -269,7 +269,7 @@ def draw(folder: Path, rows: pd.DataFrame, cast: ReferenceTable | None, made: Ma
     axes[4].set(title="By numbering alone, change (%)", xlabel="generation")
     for kind in (BEST, ONCE):
         seen = with_errors(pd.concat([at_equal_flow(*pair) for pair in zip(made[GROWN], made[kind])], axis=1))
-        axes[5].errorbar(seen.index, seen["change"], seen["error"], capsize=2.0, **LOOK[kind])
+        axes[5].errorbar(seen.index, seen["change_percent"], seen["error_percent"], capsize=2.0, **LOOK[kind])
     axes[5].set(title="Radius at equal flow, change (%)", xlabel="terminals fed", xscale="log")
     plain_log(axes[5].xaxis)
     for place in axes[3:]:
@@ -310,7 +310,7 @@ def draw_changes(place: Any, rows: pd.DataFrame, measure: str, *, seeds: bool = 
             for seed in percent:
                 place.plot(at, percent[seed], ".", color=LOOK[kind]["color"], alpha=0.35, markersize=4)
         mean = with_errors(percent)
-        place.errorbar(at, mean["change"], mean["error"], capsize=2.0, **LOOK[kind])
-        reach = max(reach, float((mean["change"].abs() + mean["error"].fillna(0.0)).max()))
+        place.errorbar(at, mean["change_percent"], mean["error_percent"], capsize=2.0, **LOOK[kind])
+        reach = max(reach, float((mean["change_percent"].abs() + mean["error_percent"].fillna(0.0)).max()))
     whole_ticks(place.xaxis)
     return reach
