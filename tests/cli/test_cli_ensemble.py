@@ -23,7 +23,7 @@ from generator.ensemble import running
 from generator.ensemble.log import logged
 from generator.ensemble.manifest import Manifest
 from generator.ensemble.plan import plan
-from generator.ensemble.work import Failed
+from generator.ensemble.work import Failed, Grown
 from vascval.cli import ensemble as command
 from vascval.cli.main import main
 from vascval.io import schemas
@@ -219,6 +219,29 @@ def test_ctrl_c_keeps_what_is_done(tmp_path):
     assert 1 <= n_done < 5 and n_done + states.count("missing") == 5
     assert len(list((folder / "trees").iterdir())) == 2 * n_done
     assert ensemble(*SLOW, "--seeds", 5, *options)["n_made"] == 5 - n_done
+
+
+@pytest.mark.parametrize("at", ["seed-1.vtp", "seed-1.json", "manifest.json"])
+def test_ctrl_c_while_a_tree_is_kept(at, tmp_path, monkeypatch):
+    """Wherever it comes among the files, all of them are written before it is heard."""
+    wanted = plan("karch-box", ("n_terminals=20",), (), 2)
+    manifest = Manifest.of(wanted, tmp_path / "manifest.json", tmp_path)
+    grown = Grown(b"tree", {"summary": {"n_terminals": 20, "volume_mm3": 1.0}}, "a", 1.0)
+    monkeypatch.setattr(running, "run", lambda *_: (running.Finished(order, grown) for order in wanted.orders))
+    write = os.replace
+
+    def interrupted(source, target):
+        if Path(target).name == at:
+            os.kill(os.getpid(), signal.SIGINT)
+        write(source, target)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with logged() as log, pytest.raises(KeyboardInterrupt):
+        log.begin(tmp_path / "log")
+        command._drive(None, list(wanted.orders), 2, manifest, log, None)
+    assert sorted(path.name for path in (tmp_path / "trees").iterdir()) == ["seed-1.json", "seed-1.vtp"]
+    assert Manifest.of(wanted, tmp_path / "manifest.json", tmp_path).missing(wanted) == list(wanted.orders[1:])
+    assert len(log_of(tmp_path).splitlines()) == 1
 
 
 @pytest.mark.slow

@@ -196,9 +196,11 @@ def _drive(
             elif isinstance(event, Share):
                 shares[event.name] = event.share
             else:
-                manifest.keep(event.order, event.result)
+                with held_back(unless=lambda: False) as held:  # files without an entry in the manifest are lost
+                    manifest.keep(event.order, event.result)
+                    log.say(f"{event.order.name}: {_said(event.result)}")
+                held.release()
                 shares[event.order.name] = 1.0
-                log.say(f"{event.order.name}: {_said(event.result)}")
                 n_made += isinstance(event.result, Grown)
             if observer is not None:
                 observer("trees", n_there + sum(shares.values()), n_trees)
