@@ -210,6 +210,9 @@ def test_a_tree_as_cast(tmp_path, tree_file):
         (["{cast}", "--set", "method=cco"], "--set method=cco: method is decided by the twin; both methods are grown"),
         (["{cast}", "--set", "root_mm=0,0,0"], "use --root"),
         (["{cast}", "--set", "domain.file=x.nrrd"], "use --domain"),
+        (["{cast}", "--set", "domain.label=5"], "--set domain.label=5: says how a perfusion volume is read"),
+        (["{cast}", "--set", "domain.closing_mm=1"], "is the hull of the cast; give a file with --domain"),
+        (["{cast}", "--set", "domain.keep=largest"], "--set domain.keep=largest: says how"),
         (["{cast}", "--set", "n_terminal=5"], "n_terminal is no key of the configuration"),
         (["{cast}", "--set", "perfusion.flow_ml_min=-1"], "flow_ml_min"),
         (["{cast}", "--set", "n_terminals=1", "--root-generations", "2"], "n_terminals is 1; at least 2 are needed"),
@@ -263,7 +266,7 @@ def test_an_input_is_not_overwritten(tmp_path, tree_file, capsys):
 def test_configurations_refuse_every_key_that_the_twin_decides():
     for key in twin_parts._DECIDED:
         with pytest.raises(Exception, match=f"{key} is decided by the twin"):
-            twin_parts.configurations([f"{key}=x"])
+            twin_parts.configurations([f"{key}=x"], has_file=False)
 
 
 def interrupted_at(monkeypatch, owner, name, count):

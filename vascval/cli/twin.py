@@ -125,7 +125,7 @@ def twin(
     chosen = {**selection.config(), "unit": unit, **wishes.config()}
     _check(cast, directory, json_file, wishes, selection)
     sources.check_file(checkpoint, inputs)
-    configs = parts.configurations(changes)
+    configs = parts.configurations(changes, has_file=domain is not None)
     kept = Parts()
     keeping = Keeping(kept, provenance(command="twin", config=chosen, seed=None, inputs=inputs), checkpoint, every_s)
     keeping.begin(resume)

@@ -38,6 +38,7 @@ _DECIDED = {
     "domain.box_mm": "use --domain",
     "domain.shape": "use --domain",
 }
+_OF_A_FILE = ("domain.label", "domain.closing_mm", "domain.keep")
 _LEAST_INSIDE = 0.5
 _THICKENING = 1.5
 _TRIED = 100_000
@@ -54,10 +55,11 @@ class Ground:
     surface: Surface | None
 
 
-def configurations(changes: Sequence[str]) -> dict[str, Config]:
+def configurations(changes: Sequence[str], has_file: bool) -> dict[str, Config]:
     """The configuration of each grown tree, from the preset and the user's ``changes``.
 
-    :raises InputError: also for a change of what the twin itself decides.
+    :param has_file: whether the perfusion volume is read from a file.
+    :raises InputError: also for a change of what the twin itself decides, or of how a file is read where there is none.
     """
     from generator.config import load
 
@@ -65,6 +67,11 @@ def configurations(changes: Sequence[str]) -> dict[str, Config]:
         key = change.partition("=")[0].strip()
         if key in _DECIDED:
             raise InputError(f"--set {change}: {key} is decided by the twin; {_DECIDED[key]}")
+        if key in _OF_A_FILE and not has_file:
+            raise InputError(
+                f"--set {change}: says how a perfusion volume is read, and here it is the hull of the cast; give a "
+                "file with --domain, or leave it out"
+            )
     return {name: load(PRESET, [*changes, f"method={method}"]) for name, method in TREES.items()}
 
 
