@@ -179,7 +179,9 @@ def test_where_compiled_code_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert jit._user_cache().parts[-3:] == ("Library", "Caches", "vascval")
 
 
-def test_the_place_of_compiled_code_follows_the_kernels_of_the_room(tmp_path: Path) -> None:
+def test_the_place_of_compiled_code_follows_the_kernels_of_the_room(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     room = tmp_path / "vascval" / "room"
     (room / "inner").mkdir(parents=True)
     (room / "inner" / "_a_kernels.py").write_text("a = 1")
@@ -190,6 +192,14 @@ def test_the_place_of_compiled_code_follows_the_kernels_of_the_room(tmp_path: Pa
     for name, changes in (("other.py", False), ("__init__.py", False), ("inner/_a_kernels.py", True)):
         (room / name).write_text("d = 2")
         assert (jit._cache_dir.__wrapped__(room) != before) == changes
+    before = jit._cache_dir.__wrapped__(room)
+    assert {path.name for path in jit._COMPILING} == {"jit.py", "borrowing.py"}
+    for changed in jit._COMPILING:
+        (tmp_path / "how.py").write_text(changed.read_text(encoding="utf-8") + "e = 1")
+        how = tuple(tmp_path / "how.py" if path == changed else path for path in jit._COMPILING)
+        with monkeypatch.context() as patched:
+            patched.setattr(jit, "_COMPILING", how)
+            assert jit._cache_dir.__wrapped__(room) != before
     assert jit._room(room / "inner" / "_a_kernels.py") == room
     assert jit._room(tmp_path / "generator" / "growth" / "_k.py") == tmp_path / "generator"
     assert jit._room(tmp_path / "elsewhere" / "_k.py") == tmp_path / "elsewhere"

@@ -3,12 +3,14 @@
 numba counts references to an array that enters or leaves a kernel, or is taken out of a named tuple, with an atomic
 instruction each, and can seldom prove that it need not. In kernels that are called millions of times with tuples of ten
 arrays that is two thirds of the time. Here the arguments lose their owner where a kernel begins, which leaves nothing
-to count. That is sound as long as whoever calls keeps them alive, as Python does, and the kernel hands out no part of
-them: it returns numbers alone, which is checked when it is compiled.
+to count. That is sound as long as whoever calls keeps them alive, as Python and numba do, and the kernel hands out no
+part of them: it returns numbers alone, and is given nothing that could keep an array, such as a list. Both are checked
+when it is compiled.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, TypeVar
 
 from llvmlite.ir import Constant
@@ -22,10 +24,16 @@ from numba.extending import intrinsic
 from vascval.core.jit import njit
 
 F = TypeVar("F")
+_NUMBERS = (types.Number, types.Boolean, types.NoneType)
+_LENT = (*_NUMBERS, types.Omitted, types.Array, types.Record, types.NumPyRandomGeneratorType)
 
 
 def borrowing(function: F) -> F:
-    """:func:`vascval.core.jit.njit` of a kernel that takes arrays, numbers and tuples of them and returns numbers."""
+    """:func:`vascval.core.jit.njit` of a kernel that returns numbers, or tuples of them, and takes these, arrays and
+    their records, random generators, and tuples of all that.
+
+    :raises numba.core.errors.TypingError: when it is compiled for anything else.
+    """
     return njit(function, pipeline_class=_Borrowing)  # type: ignore[no-any-return]
 
 
@@ -64,15 +72,16 @@ class _BorrowArguments(FunctionPass):
 
     def run_pass(self, state: Any) -> bool:
         first = state.func_ir.blocks[min(state.func_ir.blocks)]
-        given = [one.target for one in first.body if isinstance(one, ir.Assign) and isinstance(one.value, ir.Arg)]
-        rest = [one for one in first.body if not (isinstance(one, ir.Assign) and isinstance(one.value, ir.Arg))]
-        first.body = [one for one in first.body if one not in rest]
-        for target in given:
-            scope: Any = target.scope
-            function = scope.redefine("$borrowed", target.loc)
-            first.append(ir.Assign(ir.Global("borrowed", borrowed, target.loc), function, target.loc))
-            first.append(ir.Assign(ir.Expr.call(function, (target,), (), target.loc), target, target.loc))
-        first.body += rest
+        body = list[Any]()
+        for one in first.body:
+            body.append(one)
+            if isinstance(one, ir.Assign) and isinstance(one.value, ir.Arg):
+                x: Any = one.target
+                loc = one.loc
+                function = x.scope.redefine("$borrowed", loc)
+                body.append(ir.Assign(ir.Global("borrowed", borrowed, loc), function, loc))
+                body.append(ir.Assign(ir.Expr.call(function, (x,), (), loc), x, loc))
+        first.body = body
         return True
 
 
@@ -84,9 +93,13 @@ class _HandOutNothing(AnalysisPass):
         super().__init__()
 
     def run_pass(self, state: Any) -> bool:
-        if _has_arrays(state.return_type):
-            name = state.func_id.func_qualname
-            raise errors.TypingError(f"kernel {name} returns an array, of which it may not be the owner: use @njit")
+        for verb, kinds, allowed in (("takes", state.args, _LENT), ("returns", (state.return_type,), _NUMBERS)):
+            for kind in _parts(kinds):
+                if not isinstance(kind, allowed):
+                    name = state.func_id.func_qualname
+                    raise errors.TypingError(
+                        f"kernel {name} {verb} {kind}, which may outlive the arrays that it borrows: use @njit"
+                    )
         return False
 
 
@@ -94,10 +107,10 @@ def _is_tuple(kind: Any) -> bool:
     return isinstance(kind, types.BaseTuple)
 
 
-def _has_arrays(kind: Any) -> bool:
-    if _is_tuple(kind):
-        return any(_has_arrays(each) for each in kind)
-    return isinstance(kind, types.Array)
+def _parts(kinds: Any) -> Iterator[Any]:
+    """What tuples within tuples are made of."""
+    for kind in kinds:
+        yield from _parts(kind) if _is_tuple(kind) else (kind,)
 
 
 class _Borrowing(CompilerBase):

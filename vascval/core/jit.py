@@ -1,12 +1,14 @@
 """The one place where the compiler's switches are set.
 
-Kernels are lazily compiled (eager signatures refuse read-only arrays), release the interpreter lock so that threads may
-drive them, and use strict IEEE arithmetic: no ``fastmath``, so that a result is the same bit for bit from run to run.
+Kernels are marked ``@njit``, or ``@borrowing`` of :mod:`vascval.core.borrowing` where they take arrays, return numbers
+alone and are called often. They are lazily compiled (eager signatures refuse read-only arrays), release the interpreter
+lock so that threads may drive them, and use strict IEEE arithmetic: no ``fastmath``, so that a result is the same bit
+for bit from run to run.
 
 They are cached on disk between runs. numba renews a cached function when its own file changes, but not when a function
-that it calls does. The cache therefore lies in a folder named by a digest of all kernel files of the room (kernels
-call none of other rooms), in the user's cache directory or ``NUMBA_CACHE_DIR``; where that cannot be written numba
-falls back to its own places.
+that it calls does, or the way it is compiled. The cache therefore lies in a folder named by a digest of all kernel
+files of the room (kernels call none of other rooms) and of the files that say how they are compiled, in the user's
+cache directory or ``NUMBA_CACHE_DIR``; where that cannot be written numba falls back to its own places.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from typing import Any, TypeVar
 import numba
 
 F = TypeVar("F")
+_COMPILING = (Path(__file__), Path(__file__).with_name("borrowing.py"))
 
 
 def njit(function: F | None = None, **options: Any) -> Any:
@@ -47,9 +50,8 @@ def _room(file: Path) -> Path:
 @lru_cache
 def _cache_dir(room: Path) -> str:
     digest = hashlib.sha256()
-    for path in sorted(room.rglob("_*.py")):
-        if not path.name.startswith("__"):
-            digest.update(path.read_bytes())
+    for path in (*_COMPILING, *sorted(room.rglob("_[!_]*.py"))):
+        digest.update(path.read_bytes())
     return str(_user_cache() / f"{room.name}-{digest.hexdigest()[:16]}")
 
 
