@@ -113,8 +113,8 @@ class TopologyConfig(_Model):
     rounds: int = Field(
         default=1,
         ge=1,
-        description="times that all chains search; further rounds begin with the best tree, and after "
-        "them subtrees of all trees found are tried in the best",
+        description="times that all chains search; the best half of the trees goes on from the first, the best half of "
+        "these from the next, down to one, each with subtrees of the others where those are better",
     )
     heat: float = Field(default=0.5, gt=0.0, description="start temperature, in median rises of the cost by a move")
     cooling: float = Field(default=120.0, ge=1.0, description="start over end temperature")

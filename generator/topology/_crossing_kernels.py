@@ -8,8 +8,8 @@ from generator.topology._relax_kernels import flatten, steps, write_back
 from generator.topology._state_kernels import begin, long_enough, save, sweep, undo
 from vascval.core.borrowing import borrowing
 
-FIRST, FURTHER = 3, 4  # steps of the whole tree before it is judged, and at each of two finer smoothings after
-DOUBT = 1e-3  # how much it may cost more when it is first judged
+STEPS = 3  # of the whole tree, at each of three smoothings
+WORSE, DOUBT = 1e-3, 3e-4  # how much it may cost more as it is put together, and after the first steps
 LEAST = 1e-9  # gain
 
 
@@ -84,14 +84,16 @@ def find_nearest(state, point, clade, nearest, apart):
 
 @borrowing
 def relaxed(state, flat, eps, cost):
-    """C of the whole tree after a few steps, fewer if it is far above ``cost``."""
-    sweep(state, flat.order)
+    """C of the whole tree after some steps, none or a few if it is far above ``cost``."""
+    found = sweep(state, flat.order)
+    if found > cost + WORSE:
+        return found
     view = flatten(state, flat, -1)
-    steps(state, view, eps, FIRST, 0.0)
+    steps(state, view, eps, STEPS, 0.0)
     found = write_back(state, view)
     if found < cost + DOUBT:
-        steps(state, view, 0.2 * eps, FURTHER, 0.0)
-        steps(state, view, 0.04 * eps, FURTHER, 0.0)
+        steps(state, view, 0.2 * eps, STEPS, 0.0)
+        steps(state, view, 0.04 * eps, STEPS, 0.0)
         found = write_back(state, view)
     return found
 

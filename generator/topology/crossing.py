@@ -19,7 +19,7 @@ from generator.topology.state import SearchTree
 
 _NEAREST = 2
 """Segments tried for a subtree to spring from, besides where it is."""
-_EPS = 0.05
+_EPS = 0.01
 """Smoothing of lengths, in mean lengths of a segment."""
 _TOGETHER = 50
 

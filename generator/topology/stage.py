@@ -18,10 +18,11 @@ from vascval.core.errors import InputError
 from vascval.core.threads import threads
 
 _RECORDED = 10_000
-_COOLER = 0.2
+_COOLER = 0.1
 """Heat of further rounds, where the first is 1: the trunk stays, of which few are good, and all else is found anew."""
-_CROSSINGS = 0.5
-"""At most so many for each test of all chains, by the number of terminals: a part of the time that the tests take."""
+_CROSSINGS = 0.6
+"""At most so many in a tree for each test of a round, by the number of terminals: a part of the time that the tests
+take."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,22 @@ class Found:
     node: np.ndarray
 
 
+@dataclass(frozen=True)
+class Round:
+    """What was found in the rounds before, in the order in which it was, and the chains of this one."""
+
+    number: int
+    found: list[Found]
+    chains: list[Annealing]
+
+
 class TopologyStage:
     """What a configuration asks of the topology.
+
+    Where it asks for more than one round, the best half of the trees that the chains of the first one end with go on,
+    each with its share of the chains, and after every round the best half of these, down to one: which trunk is the
+    best shows only as the rest comes to rest. Before a tree goes on it takes over subtrees of all that was found
+    (:func:`generator.topology.crossing.cross`).
 
     Trees come and go as ``parent`` and ``position_mm`` with the root tree's nodes first. Viscosity counts as constant,
     and the branching exponent as the same everywhere. ``history`` has the steps of the first chain; steps shorter than
@@ -43,21 +58,22 @@ class TopologyStage:
     def __init__(self, config: Config, domain: Domain, root_tree: RootTree, rng: np.random.Generator) -> None:
         self.config, self.domain, self.root_tree = config, domain, root_tree
         topology = config.topology
-        self._rngs = rng.spawn(topology.chains * topology.rounds + (topology.rounds > 1))
+        self._rngs = rng.spawn((topology.chains + (topology.rounds > 1)) * topology.rounds)
         self.history: list[AnnealingStep] = []
-        self._now: tuple[list[Found], list[Annealing]] = [], []
-        """Trees found in earlier rounds, chains of this one: exchanged at once, for threads that want the state."""
+        self._now = Round(0, [], [])
+        """Exchanged at once, for threads that want the state."""
         self._crossed: list[Found] = []
+        """After this round, once its chains have ended."""
 
     @property
     def begun(self) -> bool:
-        return bool(self._now[1])
+        return bool(self._now.chains)
 
     @property
     def tests(self) -> int:
         """Topologies tried so far, by all chains."""
-        found, chains = self._now
-        return len(found) * self.config.topology.tests + sum(chain.n_tests for chain in chains)
+        before = self._now.number * self.config.topology.chains * self.config.topology.tests
+        return before + sum(chain.n_tests for chain in self._now.chains)
 
     @property
     def target(self) -> int:
@@ -67,68 +83,90 @@ class TopologyStage:
     @property
     def best_mm3(self) -> float:
         """Volume of the best tree so far, without the root tree's."""
-        found, chains = self._now
-        return min([tree.best_mm3 for tree in found + self._crossed] + [chain.best_mm3 for chain in chains])
+        now = self._now
+        ends = [tree.best_mm3 for tree in now.found + self._crossed]
+        return min(ends + [chain.best_mm3 for chain in now.chains])
 
     def search(
         self, parent: np.ndarray, position_mm: np.ndarray, resume: dict[str, np.ndarray] | None = None
     ) -> Iterator[AnnealingStep]:
         """Anneal all chains, round after round; the best tree is :meth:`best` afterwards, or when left off.
 
-        After more than one round subtrees of all that was found are tried in the best
-        (:func:`generator.topology.crossing.cross`).
-
         :param resume: what :meth:`state` gave of a search that began with the same tree.
         :raises InputError: when that is not sound.
         """
         shortest = self.config.geometry.l_min_mm
         self._tree = SearchTree(parent, position_mm, self.root_tree, self.config.flow(), shortest)
-        self._now = [], self._begin(parent, position_mm, [])
+        self._now = self._begin(parent, position_mm, 0, [])
         if resume is not None:
             self._restore(parent, position_mm, resume)
         while True:
-            for step in anneal(self._now[1], threads()):
+            for step in anneal(self._now.chains, threads()):
                 yield self._record(step)
-            found = self._all()
-            if len(found) == self.config.topology.chains * self.config.topology.rounds:
+            if self.config.topology.rounds == 1 or not self.history:
                 break
-            self._now = found, self._begin(parent, position_mm, found)
-        if self.config.topology.rounds > 1 and self.history:
-            yield from self._cross(found)
+            yield from self._cross()
+            if self._now.number + 1 == self.config.topology.rounds:
+                break
+            self._now = self._begin(parent, position_mm, self._now.number + 1, self._all())
+            self._crossed = []
 
-    def _begin(self, parent: np.ndarray, position_mm: np.ndarray, found: list[Found]) -> list[Annealing]:
-        """The chains of the next round; further ones begin with the best tree of those before."""
-        options, start = self.config.topology.options(), None
-        if found:
-            start = _best(found).node
+    def _lines(self, number: int) -> int:
+        """Trees that go on after a round."""
+        return max(1, self.config.topology.chains >> (number + 1))
+
+    def _begin(self, parent: np.ndarray, position_mm: np.ndarray, number: int, found: list[Found]) -> Round:
+        """A round, its chains not yet begun."""
+        options = self.config.topology.options()
+        start: list[np.ndarray | None] = [None]
+        if number > 0:
+            start = [one.node for one in found[-self._lines(number - 1) :]]
             options = replace(options, heat=options.heat * _COOLER, cooling=max(options.cooling * _COOLER, 1.0))
-        return [
+        first = number * (options.chains + 1)
+        chains = [
             Annealing(
                 parent, position_mm, self.root_tree, self.config.flow(), space=self.domain.space, options=options,
-                shortest_mm=self.config.geometry.l_min_mm, start=start, rng=rng,
+                shortest_mm=self.config.geometry.l_min_mm, start=start[k % len(start)], rng=rng,
             )
-            for rng in self._rngs[len(found) : len(found) + options.chains]
+            for k, rng in enumerate(self._rngs[first : first + options.chains])
         ]  # fmt: skip
+        return Round(number, found, chains)
 
     def _all(self) -> list[Found]:
-        """By the chains of this round and of those before."""
-        found, chains = self._now
-        return found + [Found(chain.best_mm3, chain.best) for chain in chains]
+        """In this round and in those before."""
+        return self._now.found + _ends(self._now.chains) + self._crossed
 
-    def _cross(self, found: list[Found]) -> Iterator[AnnealingStep]:
-        tree, trees = self._tree, sorted(found, key=lambda one: one.best_mm3)
-        tree.state.node[:] = trees[0].node
-        most = int(_CROSSINGS * self.target / tree.n_terminals)
-        for cost in cross(tree, self.domain.space, [one.node for one in trees[1:]], most, self._rngs[-1]):
-            self._crossed = [Found(tree.volume_mm3(cost), tree.state.node.copy())]
-            yield replace(self.history[-1], best_mm3=self.best_mm3)
+    def _cross(self) -> Iterator[AnnealingStep]:
+        """The trees that go on after this round, the best one first."""
+        self._crossed = []
+        now, topology, tree = self._now, self.config.topology, self._tree
+        trees = sorted(self._all(), key=_volume)
+        most = int(_CROSSINGS * topology.tests * topology.chains / tree.n_terminals)
+        rng = self._rngs[now.number * (topology.chains + 1) + topology.chains]
+        done: list[Found] = []
+        for head in self._heads(now):
+            tree.state.node[:] = head.node
+            donors = [one.node for one in trees if one is not head]
+            for cost in cross(tree, self.domain.space, donors, most, rng):
+                self._crossed = sorted([*done, Found(tree.volume_mm3(cost), tree.state.node.copy())], key=_volume)
+                yield replace(self.history[-1], best_mm3=self.best_mm3)
+            done = self._crossed
+
+    def _heads(self, now: Round) -> list[Found]:
+        """The best of each line: what it began the round with, and what its chains ended with; the best of these."""
+        ends = _ends(now.chains)
+        if now.number == 0:
+            lines = [[end] for end in ends]
+        else:
+            count = self._lines(now.number - 1)
+            lines = [[start, *ends[k::count]] for k, start in enumerate(now.found[-count:])]
+        return sorted((min(line, key=_volume) for line in lines), key=_volume)[: self._lines(now.number)]
 
     def _record(self, step: AnnealingStep) -> AnnealingStep:
-        found, topology = self._now[0], self.config.topology
+        now, topology = self._now, self.config.topology
         step = replace(
-            step, n_tests=len(found) // topology.chains * topology.tests + step.n_tests,
-            n_target=topology.tests * topology.rounds,
-            best_mm3=min([step.best_mm3, *(one.best_mm3 for one in found)]),
+            step, n_tests=now.number * topology.tests + step.n_tests, n_target=topology.tests * topology.rounds,
+            best_mm3=min([step.best_mm3, *(one.best_mm3 for one in now.found)]),
         )  # fmt: skip
         if self.history and step.n_tests <= self.history[-1].n_tests:
             return step  # of another chain: those follow the first one where there is one thread
@@ -140,7 +178,7 @@ class TopologyStage:
 
     def best(self) -> tuple[np.ndarray, np.ndarray]:
         """``parent`` and ``position_mm`` of the best tree found."""
-        return self._tree.arrays(_best(self._all() + self._crossed).node)
+        return self._tree.arrays(min(self._all(), key=_volume).node)
 
     def state(self, *, done: bool = False) -> dict[str, np.ndarray]:
         """All that decides how a search goes on that has begun, as plain arrays that are copies; the history alone of
@@ -148,10 +186,10 @@ class TopologyStage:
         kept = {"history": np.array([astuple(step) for step in self.history], np.float64).reshape(-1, 6)}
         if done:
             return kept
-        found, chains = self._now
-        kept["found_mm3"] = np.array([one.best_mm3 for one in found])
-        kept["found"] = np.array([bytes_of(one.node) for one in found], np.uint8)
-        for number, chain in enumerate(chains):
+        now = self._now
+        kept["found_mm3"] = np.array([one.best_mm3 for one in now.found])
+        kept["found"] = np.array([bytes_of(one.node) for one in now.found], np.uint8)
+        for number, chain in enumerate(now.chains):
             kept |= with_prefix(f"chain{number}", chain.state())
         return kept
 
@@ -169,25 +207,32 @@ class TopologyStage:
 
     def _restore(self, parent: np.ndarray, position_mm: np.ndarray, kept: dict[str, np.ndarray]) -> None:
         self.recall(kept)
-        found = self._kept_trees(kept)
-        if found:
-            self._now = found, self._begin(parent, position_mm, found)
-        for number, chain in enumerate(self._now[1]):
+        number, found = self._kept_trees(kept)
+        if number:
+            self._now = self._begin(parent, position_mm, number, found)
+        for number, chain in enumerate(self._now.chains):
             chain.restore(below(f"chain{number}", kept))
 
-    def _kept_trees(self, kept: dict[str, np.ndarray]) -> list[Found]:
-        """What was found in the rounds before."""
+    def _kept_trees(self, kept: dict[str, np.ndarray]) -> tuple[int, list[Found]]:
+        """How many rounds are over, and what was found in them."""
         topology = self.config.topology
         count = kept["found_mm3"].size if "found_mm3" in kept else 0
         shape = (count, self._tree.state.node.size, NODE.itemsize) if count else (0,)
         sound = fits(kept, {"found_mm3": ("float64", (count,)), "found": ("uint8", shape)})
-        if not sound or count not in range(0, topology.chains * topology.rounds, topology.chains):
+        per_round = [topology.chains + self._lines(number) for number in range(topology.rounds - 1)]
+        after = [sum(per_round[:number]) for number in range(topology.rounds)]
+        if not sound or count not in after:
             raise InputError("lacks a round of the search for topologies; begin the run anew")
         nodes = [np.ascontiguousarray(one).view(NODE).ravel() for one in kept["found"]]
         if not (np.isfinite(kept["found_mm3"]).all() and all(self._tree.takes(node) for node in nodes)):
             raise InputError("holds a searched tree that is not sound; begin the run anew")
-        return [Found(float(volume), node) for volume, node in zip(kept["found_mm3"], nodes, strict=True)]
+        found = [Found(float(volume), node) for volume, node in zip(kept["found_mm3"], nodes, strict=True)]
+        return after.index(count), found
 
 
-def _best(found: list[Found]) -> Found:
-    return min(found, key=lambda one: one.best_mm3)
+def _volume(one: Found) -> float:
+    return one.best_mm3
+
+
+def _ends(chains: list[Annealing]) -> list[Found]:
+    return [Found(chain.best_mm3, chain.best) for chain in chains]

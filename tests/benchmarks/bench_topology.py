@@ -86,17 +86,19 @@ def tests(
 
 
 def rounds(
-    names: Sequence[str] = tuple(KNOWN), searches: Sequence[tuple[int, int, int]] = ((4, 300_000, 2), (10, 700_000, 2)),
-    seeds: Sequence[int] = (1,),
-) -> str:  # fmt: skip
-    """Volume after several rounds of several chains whose trees are crossed in the end, on the same terminals."""
+    names: Sequence[str] = tuple(KNOWN),
+    searches: Sequence[tuple[int, int, int, int]] = ((12, 150_000, 5, 6), (24, 300_000, 5, 1)),
+) -> str:
+    """Volume after several rounds of several chains of so many tests, for so many seeds, on the same terminals."""
     rows: list[list[object]] = []
+    compiled = ("n_terminals=20", "method=full", "topology.at=20", "topology.tests=500", "topology.rounds=2")
+    list(Run.of(load("karch-box", compiled)).steps())
     for name in names:
         if not (TERMINALS / f"{name}.csv").exists():
             rows.append([name, "terminals not there", *[""] * 6])
             continue
-        for chains, count, times in searches:
-            for seed in seeds:
+        for chains, count, times, seeds in searches:
+            for seed in range(1, seeds + 1):
                 changes = [
                     f"terminals_file={TERMINALS / name}.csv", "method=full", f"seed={seed}", "geometry.l_min_mm=0",
                     "geometry.contract=false", "topology.cooling=400", "topology.lenience=0.85",

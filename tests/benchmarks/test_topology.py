@@ -12,7 +12,7 @@ from tests.benchmarks import bench_topology
         ("reduction", {"seeds": 2, "count": 200, "n_terminals": 20}, 3),
         ("optima", {"counts": (3, 4), "instances": 2}, 2),
         ("orders", {"count": 2, "n_tests": 200, "largest": 20}, (1, 3)),
-        ("rounds", {"names": ("opencco_500",), "searches": ((1, 500, 2),), "seeds": (1,)}, 1),
+        ("rounds", {"names": ("opencco_500",), "searches": ((1, 500, 2, 1),)}, 1),
     ],
 )
 def test_tables(name, arguments, rows):

@@ -177,18 +177,42 @@ def test_further_rounds_find_better_trees():
     assert (np.diff([step.best_mm3 for step in history]) <= 0).all()
 
 
-@pytest.mark.parametrize("at", [1500, 4500, 5990])
-def test_a_search_resumed_in_any_round_ends_with_the_same_tree(at, monkeypatch):
-    changes = [*CHANGES, "topology.rounds=2"]
+def test_half_of_the_trees_go_on_after_each_round_down_to_one():
+    run, _running = stopped([*CHANGES, "topology.chains=5", "topology.rounds=4"], 5 * 3 * 3000 + 100)
+    now = run.topology._now
+    assert now.number == 3 and len(now.found) == (5 + 2) + (5 + 1) + (5 + 1)
+    volumes = [one.best_mm3 for one in now.found]
+    first, second, third = volumes[:7], volumes[7:13], volumes[13:]
+    assert first[5:] == sorted(first[5:])
+    # each line that goes on is at least as good as what it was made of; the best of all never gets worse
+    assert first[5] <= min(first[:5]) and second[5] <= min(second[:5] + first[5:]) and third[5] <= second[5]
+    assert run.topology.best_mm3 <= third[5]
+
+
+def test_chains_of_further_rounds_begin_with_the_trees_that_go_on():
+    run, _running = stopped([*CHANGES, "topology.chains=4", "topology.rounds=2"], 4 * 3000 + 100)
+    stage = run.topology
+    parent, position = run.growth.snapshot()
+    again = stage._begin(parent, position, 1, stage._now.found)
+    for k, chain in enumerate(again.chains):
+        begun = stage._now.found[-2:][k % 2]
+        assert chain.tree.volume_mm3(chain.cost) == pytest.approx(begun.best_mm3, rel=1e-6)
+        np.testing.assert_array_equal(chain.tree.state.node["parent"], begun.node["parent"])
+
+
+@pytest.mark.parametrize(("chains", "rounds", "at"), [(2, 2, 1500), (2, 2, 4500), (2, 2, 5990), (4, 3, 7000)])
+def test_a_search_resumed_in_any_round_ends_with_the_same_tree(chains, rounds, at, monkeypatch):
+    searched = [f"topology.chains={chains}", f"topology.rounds={rounds}"]
+    changes = [*CHANGES, *searched]
     trees = []
     for threads in ("1", "2"):
         monkeypatch.setenv("VASCVAL_THREADS", threads)
-        run, _running = stopped(changes, 2 * at)
+        run, _running = stopped(changes, chains * at)
         resumed = Run.of(load("karch-box", changes))
         resumed.restore(run.state())
         list(resumed.steps())
         trees.append(resumed.tree())
-    whole = volume_after("topology.rounds=2").tree()
+    whole = volume_after(*searched).tree()
     for tree in trees:
         np.testing.assert_array_equal(tree.parent, whole.parent)
         np.testing.assert_array_equal(tree.position_mm, whole.position_mm)
