@@ -140,21 +140,20 @@ class TopologyStage:
         """The trees that go on after this round, the best one first."""
         self._crossed = []
         now, topology, tree = self._now, self.config.topology, self._tree
-        trees = sorted(self._all(), key=_volume)
+        ends = _ends(now.chains)
         most = int(_CROSSINGS * topology.tests * topology.chains / tree.n_terminals)
         rng = self._rngs[now.number * (topology.chains + 1) + topology.chains]
         done: list[Found] = []
-        for head in self._heads(now):
+        for head in self._heads(now, ends):
             tree.state.node[:] = head.node
-            donors = [one.node for one in trees if one is not head]
+            donors = [one.node for one in now.found + ends if one is not head]
             for cost in cross(tree, self.domain.space, donors, most, rng):
                 self._crossed = sorted([*done, Found(tree.volume_mm3(cost), tree.state.node.copy())], key=_volume)
                 yield replace(self.history[-1], best_mm3=self.best_mm3)
             done = self._crossed
 
-    def _heads(self, now: Round) -> list[Found]:
+    def _heads(self, now: Round, ends: list[Found]) -> list[Found]:
         """The best of each line: what it began the round with, and what its chains ended with; the best of these."""
-        ends = _ends(now.chains)
         if now.number == 0:
             lines = [[end] for end in ends]
         else:
