@@ -102,7 +102,7 @@ class Annealing:
         self.tree = SearchTree(parent, position_mm, root_tree, perfusion, shortest_mm)
         self._again = start is not None
         if start is not None:
-            self.tree.state.node[:] = start
+            self.tree.adopt(start)
         self.cost = sweep(self.tree.state, self.tree.flat.order)
         self._eps = _EPS_RELAX * self.tree.mean_length_mm
         if self.space.convex:

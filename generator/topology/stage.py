@@ -145,7 +145,7 @@ class TopologyStage:
         rng = self._rngs[now.number * (topology.chains + 1) + topology.chains]
         done: list[Found] = []
         for head in self._heads(now, ends):
-            tree.state.node[:] = head.node
+            tree.adopt(head.node)
             donors = [one.node for one in now.found + ends if one is not head]
             for cost in cross(tree, self.domain.space, donors, most, rng):
                 self._crossed = sorted([*done, Found(tree.volume_mm3(cost), tree.state.node.copy())], key=_volume)

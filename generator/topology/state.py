@@ -72,6 +72,12 @@ class SearchTree:
         node = self.state.node[self.state.n_fixed :]
         return float(node["length"].mean())
 
+    def adopt(self, node: np.ndarray) -> None:
+        """Become the tree of these records, which another search of the same terminals may have made: the numbers of
+        its tests mean nothing here."""
+        self.state.node[:] = node
+        self.state.node["saved"] = self.state.node["seen"] = 0
+
     def takes(self, node: np.ndarray) -> bool:
         """Whether these records are a sound tree of the same terminals and root tree: kernels trust their indices."""
         have, fixed, index = self.state.node, self.state.n_fixed, np.arange(node.size)

@@ -91,7 +91,7 @@ def test_a_chain_that_is_at_its_end_is_not_ended_again(tmp_path, monkeypatch):
     run, kept = begun(changes), {}
     for name, _step in run.steps():
         if name == "topology":
-            n_ended = sum(chain.n_tests == 20_000 for chain in run.topology._now[1])
+            n_ended = sum(chain.n_tests == 20_000 for chain in run.topology._now.chains)
             kept[n_ended] = tmp_path / str(n_ended)
             checkpoint.write(kept[n_ended], run.state(), origin_of(run))
     whole = exact(run.tree())

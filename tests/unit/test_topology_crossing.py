@@ -12,7 +12,7 @@ from generator.growth.growth import Growth
 from generator.growth.root_tree import RootTree
 from generator.haemodynamics import Perfusion
 from generator.topology import _crossing_kernels as kernels
-from generator.topology._state_kernels import begin, sweep, undo
+from generator.topology._state_kernels import begin, save, sweep, undo
 from generator.topology.annealing import Annealing, AnnealingOptions
 from generator.topology.crossing import cross
 from vascval.core.errors import InputError
@@ -187,6 +187,24 @@ def test_half_of_the_trees_go_on_after_each_round_down_to_one():
     # each line that goes on is at least as good as what it was made of; the best of all never gets worse
     assert first[5] <= min(first[:5]) and second[5] <= min(second[:5] + first[5:]) and third[5] <= second[5]
     assert run.topology.best_mm3 <= third[5]
+
+
+def test_the_tests_of_another_search_do_not_count_as_ones_own():
+    """Records say in which test they were written to the journal: what is not written there is not undone."""
+    chain, other = searched(2, tests=20)
+    tree = chain.tree
+    theirs = other.best
+    theirs["saved"] = theirs["seen"] = tree.state.counts[1] + 1  # a number that this search comes to as well
+    tree.adopt(theirs)
+    before = tree.state.node.copy()
+    begin(tree.state)
+    assert (tree.state.node["saved"] < tree.state.counts[1]).all()
+    assert (tree.state.node["seen"] < tree.state.counts[1]).all()
+    for i in range(tree.state.n_fixed, before.size):
+        save(tree.state, i)
+        tree.state.node[i]["x"] = 99.0
+    undo(tree.state)
+    np.testing.assert_array_equal(tree.state.node["x"], before["x"])
 
 
 def test_chains_of_further_rounds_begin_with_the_trees_that_go_on():
