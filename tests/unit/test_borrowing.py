@@ -50,14 +50,14 @@ def raise_larger(pair, count):
 
 @borrowing
 def larger_twice(first, second, count, times=2):
-    """Begins with a loop; its arguments change places; it calls itself; it has a default value."""
-    while count > 0:
-        count -= 1
-        if second[count] > first[count]:
-            first, second = second, first
-        first[count] += 1.0
-    if times > 1:
-        return times, larger_twice(first, second, first.size, times - 1)[1]
+    """Begins with a loop; its arguments change places; it has a default value."""
+    for _ in range(times):
+        left = count
+        while left > 0:
+            left -= 1
+            if second[left] > first[left]:
+                first, second = second, first
+            first[left] += 1.0
     return times, first.sum()
 
 
